@@ -132,6 +132,7 @@ def decided(
             threshold=threshold,
             leaves=decide,
             instant=instant,
+            slides=system.slides,
         )
         chosen, count = _asked(system, question)
     else:
@@ -143,9 +144,8 @@ def decided(
             # Where something has jumped, also a rate that vanishes up to the rounding of the time.
             wanted = decide & any_of(on & (flat | at.unsettled))
             second = _seconds(system, here, soon, rates, wanted, beside, on)
-        chosen, count = filippov.choose(
-            None, rates, second, beside, on, grid.direction, steered(system), instant
-        )
+        given = second, beside, on, grid.direction, steered(system), instant, system.slides
+        chosen, count = filippov.choose(None, rates, *given)
     count = select(decide, count, jnp.maximum(count, 1))
     if led is None:
         return _once(system, where(decide, chosen, left), count)

@@ -305,6 +305,9 @@ def _motion(
             known = stop_gradient((mode, rates, shares))
             determinant = system.hold(sliding_weights.determinant(*known))
         f = filippov.blend_fields(system, fields, mode, shares)
+        if fields.flipped is not None and not system.slides:
+            # A sum of changes has their rounding, beside which a field that is zero is not small.
+            f = system.field(t, x, unilateral.sides_of(mode), forcing=forcing)
     f = system.hold(where(blind, jnp.nan, f))
     # The field of a `balance` contains the reactions.
     f = f if together else with_reactions(system, t, x, mode, f)

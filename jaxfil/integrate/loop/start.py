@@ -123,18 +123,16 @@ def _first_mode(
         above = _resolved(system, direction, rates[0], following[0], rates.sizes())
         start = begin(problem, x, on, sides, above)
         free = on & ~start.known
-        mode, count = filippov.choose(
-            fields, rates, following, start.sides, free, direction, steered(system), instant
-        )
+        given = start.sides, free, direction, steered(system), instant, system.slides
+        mode, count = filippov.choose(fields, rates, following, *given)
         mode = where(start.rests, 2 * mode, mode)
         count = select(start.consistent, count, 0)
         # Backward in time a rest may have started at any earlier time, so the motion is not unique.
         count = select(any_of(start.rests) & (grid.direction < 0), 2, count)
         owed = start.owed
     else:
-        mode, count = filippov.choose(
-            fields, rates, following, sides, on, direction, steered(system), instant
-        )
+        given = sides, on, direction, steered(system), instant, system.slides
+        mode, count = filippov.choose(fields, rates, following, *given)
     determinant = None
     if system.slides:
         weights = sliding_weights.weights(mode, rates)
@@ -172,6 +170,7 @@ def _first_mode_together(
         question_of(rates, fields, None, start.sides, decided, direction, steered(system), instant),
         walls=start.still,
         forces=forces,
+        slides=system.slides,
     )
     mode, count = decide(question)
     # Without a surface to decide there is one mode, whatever the decision returns.

@@ -208,7 +208,10 @@ def _continues(
             # A surface that has just been left, at the end of its slide, is not slid on again
             # because another one is left at the same time.
             edge = edge & ~(question.kept & (sides == question.now) & turned & question.leaves)
-    leaves = where(edge, rounds == 2, leaves)
+    stands = rounds == 2
+    if not question.slides:
+        stands = stands | _is_held(question, following, force, sides, w)
+    leaves = where(edge, stands, leaves)
     if following is not None and turned is not None:
         still = (scale == 0) & (following.sizes() == 0)
         turned = where(still, sides == where(question.mode < 0, -1.0, 1.0), turned)
@@ -236,6 +239,20 @@ def _continues(
     return ok, mode, _velocity(question.fields, forces, force, sides, w)
 
 
+def _is_held(
+    question: Question,
+    following: Corners | None,
+    force: Corners | None,
+    sides: Components,
+    w: Components,
+) -> Components:
+    """Whether dψ/dt leads from no surface's side, on which ψ vanishes, back to the surface."""
+    if following is None:
+        return sides == sides
+    bend, noise = _bend(question, following, force, sides, w)
+    return sides * bend >= -noise
+
+
 def _turned(
     question: Question,
     following: Corners,
@@ -246,14 +263,22 @@ def _turned(
 ) -> Components:
     """Whether dψ/dt leads away from each surface on its side; to within rounding in the third round
     and where the motion is on that side already."""
+    known = rounds == 2
+    bend, noise = _bend(question, following, force, sides, w)
+    if question.kept is not None and question.now is not None:
+        known = known | (question.kept & (sides == question.now))
+    return (sides * bend > noise) | (known & (abs(bend) <= noise))
+
+
+def _bend(
+    question: Question, following: Corners, force: Corners | None, sides: Components, w: Components
+) -> tuple[Components, Components]:
+    """dψ/dt, and its rounding."""
     forces, eps = question.forces, jnp.finfo(question.direction.dtype).eps
     bend, size = following.blend(sides, w), following.sizes()
     if forces is not None and force is not None:
         size = forces.accelerations.sizes() + forces.sizes(force.blend(sides, w))
-    noise, known = NOISE * eps * size, rounds == 2
-    if question.kept is not None and question.now is not None:
-        known = known | (question.kept & (sides == question.now))
-    return (sides * bend > noise) | (known & (abs(bend) <= noise))
+    return bend, NOISE * eps * size
 
 
 def _velocity(

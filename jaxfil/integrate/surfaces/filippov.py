@@ -332,6 +332,7 @@ def choose(
     direction: Array,
     steered: Components,
     instant: Array | float = 0.0,
+    slides: bool = True,
 ) -> tuple[Components, Array]:
     """The mode after a contact with the surfaces marked `on`, and the number of admissible ones.
 
@@ -339,11 +340,12 @@ def choose(
     not, and zero is a tangency that these derivatives do not decide. `mode` has the side of each
     surface, on which a motion that stands still stays. `following` is the derivative of H that
     decides where dH/dt vanishes, within the rounding `instant` of the time; None if only the rates
-    do. `steered` are surfaces that a weight can hold the motion on.
+    do. `steered` are surfaces that a weight can hold the motion on; `slides` as in `Question`.
     """
+    given = following, mode, on, direction, steered, instant, slides
     if rates.are_of_one:
-        return _choose_on_one(rates, following, mode, on, direction, steered, instant)
-    return decide(question_of(rates, fields, following, mode, on, direction, steered, instant))
+        return _choose_on_one(rates, *given)
+    return decide(question_of(rates, fields, *given))
 
 
 def is_flat(rate: Components, rates: Corners) -> Components:
@@ -359,6 +361,7 @@ def _choose_on_one(
     direction: Array,
     steered: Components,
     instant: Array | float,
+    slides: bool,
 ) -> tuple[Components, Array]:
     """`choose` for separate surfaces, which the rates on both sides determine."""
     if following is not None:
@@ -377,6 +380,11 @@ def _choose_on_one(
     plus, minus = up > 0, down < 0
     # Equal rates with this sign are both zero, and have no weight.
     slide = (up * down <= 0) & ~level
+    if not slides:
+        # Where one field stands still and the other one pushes to the surface, at w = ±1.
+        stands, slide = slide & (up * down == 0), slide & (up * down < 0)
+        decided = decided & ~(stands & (up == down))
+        plus, minus = plus | (stands & (down > 0)), minus | (stands & (up < 0))
     count = plus.astype(jnp.int32) + minus.astype(jnp.int32) + slide.astype(jnp.int32)
     # With several modes the lane ends as not unique, whichever is taken.
     side = where(plus, 1.0, where(minus, -1.0, 0.0)).astype(direction.dtype)

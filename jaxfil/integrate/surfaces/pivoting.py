@@ -61,7 +61,10 @@ def by_pivoting(question: Question) -> tuple[Components, Array]:
     holding = balanced & jnp.any((posed.matrix != 0) & both[None, :], axis=1)
     # At z = ±1 both the slide and its side hold. As in `decision`, the slide is preferred.
     sliding = posed.slid & jnp.any((posed.matrix != 0) & posed.slid[None, :], axis=1)
-    edge = balanced & sliding & ~_goes_on(question, posed, z)
+    stays = _goes_on(question, posed, z)
+    if not question.slides:
+        stays = stays | _is_held(question, z)
+    edge = balanced & sliding & ~stays
     weight = select(both | holding | edge, 0.0, weight)
     chosen = select(on, select(posed.slid, weight, select(z > 0, 2 * mode, mode)), mode)
     # Backward in time a repelling slide may have started at any earlier time. A slide that goes on
@@ -81,12 +84,26 @@ def _goes_on(question: Question, posed: _Inequality, z: Array) -> Array:
     following = _following(question)
     if following is None or question.kept is None or question.now is None:
         return jnp.zeros_like(posed.slid)
-    sides = where(question.on, 0.0, question.mode)
-    bend = pack(following.blend(sides, _like(question.mode, z)), z.dtype)
-    noise = NOISE * jnp.finfo(z.dtype).eps * pack(following.sizes(), z.dtype)
+    bend, noise = _bend(question, following, z)
     now = pack(question.now, z.dtype)
     on = pack(question.kept, bool) & (jnp.sign(z) == now) & question.leaves
     return on & (now * bend > noise)
+
+
+def _is_held(question: Question, z: Array) -> Array:
+    """As in `decision`, for the sides at z = ±1."""
+    following = _following(question)
+    if following is None:
+        return abs(z) >= 1
+    bend, noise = _bend(question, following, z)
+    return (abs(z) >= 1) & (z * bend >= -noise)
+
+
+def _bend(question: Question, following: Corners, z: Array) -> tuple[Array, Array]:
+    """dψ/dt with the weights z, and its rounding."""
+    sides = where(question.on, 0.0, question.mode)
+    bend = pack(following.blend(sides, _like(question.mode, z)), z.dtype)
+    return bend, NOISE * jnp.finfo(z.dtype).eps * pack(following.sizes(), z.dtype)
 
 
 def _following(question: Question) -> Corners | None:

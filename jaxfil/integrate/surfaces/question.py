@@ -52,6 +52,9 @@ class Question(eqx.Module):
     """Whether dψ/dt is known, and may decide."""
     instant: Array | float = 0.0
     """The rounding of the time, during which a rate may have been zero."""
+    slides: bool = eqx.field(static=True, default=True)
+    """Whether the system may slide. Otherwise a motion that the field of one side holds on its
+    surface, while that of the other pushes it there, stays on its side."""
 
 
 def question_of(
@@ -63,6 +66,7 @@ def question_of(
     direction: Array,
     steered: Components,
     instant: Array | float = 0.0,
+    slides: bool = True,
 ) -> Question:
     """The question for surfaces without resets, of which all are open."""
     return Question(
@@ -79,6 +83,7 @@ def question_of(
         steered=steered,
         threshold=0.0,
         instant=instant,
+        slides=slides,
     )
 
 

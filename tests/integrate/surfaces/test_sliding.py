@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
 from jaxfil import RESULTS, EventKind
+from jaxfil.model.outcomes import outcome_names
 from tests.problems import PROBLEMS, tagged
 from tests.problems.systems import corner
 from tests.results import assert_solves, run, solved, table
@@ -200,3 +201,102 @@ def test_a_slide_where_a_root_in_the_field_has_no_slope():
     exact = c * (1 - empty) + c**2 / (2 * growth)
     np.testing.assert_allclose(missing, exact, rtol=0, atol=1e-8)
     np.testing.assert_allclose(slope, -(c**2) / (2 * growth**2), rtol=0, atol=1e-8)
+
+
+class Countdown(jf.System):
+    """r' = −1 until r = 0, where it stands still, and y, the time since then."""
+
+    sign: jax.Array
+    slides = False
+
+    def vector_field(self, t, x, side):
+        return jnp.where(self.sign * side > 0, jnp.stack([t * 0 - 1, 0 * t]), jnp.stack([0 * t, 1]))
+
+    def switching(self, t, x):
+        return self.sign * x[0]
+
+
+def test_a_motion_that_stands_still_on_its_surface_does_not_slide():
+    """It comes from either side of H, or starts there."""
+
+    def end(sign, r):
+        x0 = jnp.stack([r, 0 * r])
+        sol = jf.solve(Countdown(sign), x0, 0.0, 3.0, 0.1, max_events=4)
+        return sol.x_final, (sol.x_final, sol.mode_final[0], sol.num_events)
+
+    signs, starts = jnp.array([1.0, -1.0, 1.0, -1.0]), jnp.array([0.5, 0.5, 0.0, 0.0])
+    by_start, (x, modes, counts) = jax.jit(jax.vmap(jax.jacfwd(end, 1, has_aux=True)))(
+        signs, starts
+    )
+    assert_allclose(x, np.stack([0 * starts, 3 - starts], axis=1), rtol=0, atol=1e-14)
+    assert_array_equal(modes, -signs)
+    assert_array_equal(counts, [1, 1, 0, 0])
+    assert_allclose(by_start[:2], [[0, -1]] * 2, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("n", [2, pytest.param(5, marks=pytest.mark.slow)])
+def test_coupled_motions_that_stand_still_do_not_slide(n):
+    """Each that runs takes the later ones along, by a tenth."""
+
+    class Chain(jf.System):
+        slides = False
+
+        def vector_field(self, t, x, side):
+            runs = 0.5 * (1 + side)
+            return jnp.append(-runs - 0.1 * np.tri(n, n, -1) @ runs, jnp.sum(1 - runs))
+
+        def switching(self, t, x):
+            return x[:n]
+
+    def end(x0):
+        sol = jf.solve(Chain(), x0, 0.0, 1.0, 0.1, throw=False)
+        return sol.result, sol.x_final
+
+    starts = np.zeros((2, n + 1))
+    starts[1, 0] = 0.3
+    results, x = jax.jit(jax.vmap(end))(starts)
+    assert_array_equal(outcome_names(results), "successful")
+    # The first one runs for a time of 0.3, and the others, below their surfaces then, with it.
+    right = np.zeros((2, n + 1))
+    right[:, n], right[1, 1:n] = [n, n - 0.3], -0.03
+    assert_allclose(x, right, rtol=0, atol=1e-13)
+
+
+class Refractory(jf.System):
+    """v' = I − v, and a spike at v = 1, after which it is deaf while r counts down from tau."""
+
+    current: jax.Array
+    refractory: jax.Array
+    slides = False
+
+    def vector_field(self, t, x, side):
+        deaf = side[1] > 0
+        rise, fall = jnp.where(deaf, 0.0, self.current - x[0]), jnp.where(deaf, -1.0, 0.0)
+        return jnp.stack([rise, fall])
+
+    def switching(self, t, x):
+        return jnp.stack([1 - x[0], x[1]])
+
+    def reset(self, t, x, surface):
+        fired = jnp.stack([0 * x[0], 0 * x[1] + self.refractory])
+        return jnp.where(surface == 0, fired, x)
+
+
+@pytest.mark.slow
+def test_a_refractory_time_that_is_counted_down():
+    """From r = 0.1 the spikes are at 0.1 + w and, with w = log(I/(I − 1)), at 0.1 + 2w + tau."""
+
+    def end(p):
+        sol = jf.solve(Refractory(*p), jnp.array([0.0, 0.1]), 0.0, 3.4, 0.05, max_events=16)
+        return sol.x_final, (sol.x_final, sol.events.ts, sol.events.kinds)
+
+    def exact(p):
+        last = 0.1 + 2 * jnp.log(p[0] / (p[0] - 1)) + p[1]
+        return jnp.stack([p[0] * (1 - jnp.exp(last + p[1] - 3.4)), 0.0])
+
+    p = jnp.array([1.5, 0.3])
+    slopes, (x, ts, kinds) = jax.jit(jax.jacfwd(end, has_aux=True))(p)
+    fired = np.asarray(ts)[np.asarray(kinds) == EventKind.impact]
+    assert_allclose(fired, [0.1 + np.log(3), 0.4 + 2 * np.log(3)], rtol=1e-10)
+    assert_allclose(x, exact(p), rtol=0, atol=1e-10)
+    assert_allclose(slopes, jax.jacfwd(exact)(p), rtol=0, atol=1e-9)
