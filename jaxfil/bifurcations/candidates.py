@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxfil.bifurcations.flights import Candidate, Flight, Steps, flights_of, steps_of
+from jaxfil.bifurcations.flights import Candidate, Flight, Pieces, pieces_of
 from jaxfil.bifurcations.minima import minima
 from jaxfil.bifurcations.tangency import ARRIVAL, FAMILIES, Tangency, approach, conditions
 from jaxfil.model.outcomes import is_successful
@@ -47,11 +47,11 @@ def approaches(orbit: Orbit) -> list[tuple[Tangency, Array]]:
     with _concrete(orbit):
         if not is_successful(orbit.result):
             return [_nowhere(orbit)]
-        steps, found = _candidates(orbit, "grazing")
+        pieces, found = _candidates(orbit, "grazing")
         tried = []
         for one in _nearest(found):
             nowhere = one.minimum == "abrupt"
-            tried.append(_nowhere(orbit) if nowhere else (_tangency(steps, one), array_of(False)))
+            tried.append(_nowhere(orbit) if nowhere else (_tangency(pieces, one), array_of(False)))
             if one.minimum:
                 break
         return tried or [_nowhere(orbit)]
@@ -91,27 +91,27 @@ def _nowhere(orbit: Orbit) -> tuple[Tangency, Array]:
 def tangency_candidates(orbit: Orbit, *kinds: str) -> list[tuple[float, Tangency]]:
     """The candidates of each surface for a bifurcation of one of these kinds, nearest first, each
     with the time by which the orbit misses it (or is past it)."""
-    steps, found = _candidates(orbit, *kinds)
+    pieces, found = _candidates(orbit, *kinds)
     smooth = [one for one in found if one.minimum != "abrupt"]
-    return [(one.reach, _tangency(steps, one)) for one in _nearest(smooth)]
+    return [(one.reach, _tangency(pieces, one)) for one in _nearest(smooth)]
 
 
-def _candidates(orbit: Orbit, *kinds: str) -> tuple[Steps, list[Candidate]]:
-    """The steps of an orbit, and all candidates on them, nearest first."""
-    flights, steps = flights_of(orbit), steps_of(orbit)
-    found: list[Candidate] = []
+def _candidates(orbit: Orbit, *kinds: str) -> tuple[Pieces, list[Candidate]]:
+    """The pieces of an orbit, and all candidates on them, nearest first."""
+    pieces, found = pieces_of(orbit), list[Candidate]()
+    flights = pieces.flights
     for kind, j in itertools.product(kinds, range(flights[0].mode.size)):
         arrives = FAMILIES[kind] == ARRIVAL
         for i, flight in enumerate(flights):
             before, after = flights[i - 1], flights[(i + 1) % len(flights)]
             found += _short(flight, before, after, j, kind, len(flights))
-            found += (_arrivals if arrives else _impacts)(steps, flight, after, j, kind)
+            found += (_arrivals if arrives else _impacts)(pieces, flight, after, j, kind)
         if not arrives:
-            found += minima(steps, flights, j, kind)
+            found += minima(pieces, j, kind)
     found.sort(key=lambda one: one.reach)
     # Two kinds have the same minima.
     first = {(one.j, one.middle): one for one in reversed(found)}
-    return steps, list(reversed(first.values()))
+    return pieces, list(reversed(first.values()))
 
 
 def _nearest(found: list[Candidate]) -> list[Candidate]:
@@ -148,14 +148,14 @@ def _short(
     return [Candidate(length, j, side, before.mode, left, middle, right)]
 
 
-def _impacts(steps: Steps, flight: Flight, after: Flight, j: int, kind: str) -> list[Candidate]:
+def _impacts(pieces: Pieces, flight: Flight, after: Flight, j: int, kind: str) -> list[Candidate]:
     """Impacts, with the time in which the rate of approach would vanish."""
     side = flight.mode[j]
     if kind != "grazing" or not flight.surfaces[j] or side == 0 or after.mode[j] != side:
         return []
-    reach, there = _reach(steps, flight, j, side)
-    struck = bool(_is_struck(steps.orbit.system, there, array_of(steps.sizes)))
-    period, at = steps.period, flight.stop
+    reach, there = _reach(pieces, flight, j, side)
+    struck = bool(_is_struck(pieces.orbit.system, there, array_of(pieces.sizes)))
+    period, at = pieces.period, flight.stop
     left = at - min(0.5 * (at - flight.start), 0.25 * period)
     # After a reset the orbit is another one, and the full flow follows it.
     ahead = 0.0 if struck else min(0.5 * (after.stop - after.start), 0.25 * period)
@@ -174,7 +174,7 @@ def _is_struck(system: System, there: Tangency, sizes: Array) -> Array:
     return jnp.max(abs(jump) / sizes) > _JUMP
 
 
-def _reach(steps: Steps, flight: Flight, j: int, side: float) -> tuple[float, Tangency]:
+def _reach(pieces: Pieces, flight: Flight, j: int, side: float) -> tuple[float, Tangency]:
     """The time in which Ḣ_s at the end of a flight would vanish, and that end."""
     # Of a reset the state before it; the steps have the one after it.
     x = array_of(flight.x)
@@ -189,11 +189,11 @@ def _reach(steps: Steps, flight: Flight, j: int, side: float) -> tuple[float, Ta
         side=array_of(side, x.dtype),
         struck=array_of(np.False_),
     )
-    found = conditions(steps.orbit.system, at, x, there)
+    found = conditions(pieces.orbit.system, at, x, there)
     return abs(float(found.rate)) / max(abs(float(found.bend)), 1e-300), there
 
 
-def _arrivals(steps: Steps, flight: Flight, after: Flight, j: int, kind: str) -> list[Candidate]:
+def _arrivals(pieces: Pieces, flight: Flight, after: Flight, j: int, kind: str) -> list[Candidate]:
     """Contacts at which the orbit arrives near the end of the sliding region, with the time in
     which Ḣ_s would vanish."""
     a, c = flight.mode[j], after.mode[j]
@@ -201,19 +201,19 @@ def _arrivals(steps: Steps, flight: Flight, after: Flight, j: int, kind: str) ->
     if not flight.surfaces[j] or not (crosses or (sticks and kind == "switching-sliding")):
         return []
     at = flight.stop
-    reach, _ = _reach(steps, flight, j, -a)
-    left = at - min(0.5 * (at - flight.start), 0.25 * steps.period)
+    reach, _ = _reach(pieces, flight, j, -a)
+    left = at - min(0.5 * (at - flight.start), 0.25 * pieces.period)
     return [Candidate(reach, j, -a, flight.mode, left, at, at)]
 
 
-def _tangency(steps: Steps, found: Candidate) -> Tangency:
+def _tangency(pieces: Pieces, found: Candidate) -> Tangency:
     """The tangency as arrays, with its flight shifted to start within the known period."""
-    t0, period, dtype = float(steps.orbit.options.t0), steps.period, steps.xs.dtype
+    t0, period, dtype = float(pieces.orbit.options.t0), pieces.period, pieces.first.xs.dtype
     times = found.left, found.middle, found.right
     shift = period * np.floor((found.left - t0) / period)
     left, middle, right = (min(v - shift, t0 + 2 * period) for v in times)
     # Newton's method corrects it with the rest of the guess, which is no more exact.
-    x = np.array([np.interp(left, steps.ts, v) for v in steps.xs.T])
+    x = pieces.state(left)
     return Tangency(
         x=array_of(x, dtype),
         phase=array_of(middle / period, dtype),

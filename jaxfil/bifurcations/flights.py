@@ -1,40 +1,26 @@
-"""The steps of an orbit, its flights between contacts, and candidates of tangencies on them."""
+"""The pieces of an orbit, its flights between contacts, and candidates of tangencies on them."""
 
 import dataclasses
-import functools as ft
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from jaxfil.integrate.lane import clocks
+from jaxfil.integrate.lane.problem import even_grid
+from jaxfil.integrate.loop.extensions import problem_of
 from jaxfil.integrate.loop.extremes import cubics_of
-from jaxfil.integrate.run.solution import Dense, evaluate, switches
+from jaxfil.integrate.run.solution import Dense, step_again, switches, within_step
 from jaxfil.integrate.steppers.explicit import tableau_of
-from jaxfil.orbits.orbit import Orbit
-from jaxfil.xla.known import array_of, power_of_two
-
-
-@dataclasses.dataclass(frozen=True)
-class Steps:
-    """The times ts (k,) and states xs (k, n) of all steps of an orbit, and of the parts of a step
-    of a series, which may be as long as the period."""
-
-    orbit: Orbit
-    ts: np.ndarray
-    xs: np.ndarray
-
-    @property
-    def period(self) -> float:
-        """The period."""
-        return float(self.orbit.period)
-
-    @property
-    def sizes(self) -> np.ndarray:
-        """The largest size of each component; 1 for one that is zero."""
-        sizes = np.max(abs(self.xs), axis=0)
-        return np.where(sizes == 0, 1, sizes)
+from jaxfil.integrate.surfaces import filippov, weights as sliding_weights
+from jaxfil.integrate.surfaces.filippov import ModeField
+from jaxfil.integrate.system import lowered
+from jaxfil.integrate.system.components import pack
+from jaxfil.orbits.orbit import Orbit, dense_arcs
+from jaxfil.xla.known import array_of, in_numpy, power_of_two
 
 
 class Candidate(NamedTuple):
@@ -88,28 +74,128 @@ def flights_of(orbit: Orbit) -> list[Flight]:
     return [Flight(ts[i], stops[i], modes[i], members[i], xs[i]) for i in range(count)]
 
 
-def steps_of(orbit: Orbit) -> Steps:
-    """The steps of an orbit."""
-    dense = orbit.dense()
-    real = np.isfinite(np.asarray(dense.ts))
-    ts, xs = np.asarray(dense.ts)[real], np.asarray(dense.xs)[real]
+class Ends(NamedTuple):
+    """Values at one end of each piece: the state, and of each surface the guard of its flight, the
+    rate of the guard, and the sliding weight. A piece starts just after a tick or a contact there,
+    and stops just before."""
+
+    xs: np.ndarray
+    guards: np.ndarray
+    rates: np.ndarray
+    weights: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True)
+class Pieces:
+    """An orbit in k pieces with no contact and no tick within: its steps, and the parts of a step
+    of a series, which may be as long as the period. One follows another, in times that pass the
+    end of the period where their flight does, and the first one follows the last."""
+
+    orbit: Orbit
+    flights: list[Flight]
+    number: np.ndarray  # of the flight of each piece
+    starts: np.ndarray
+    stops: np.ndarray
+    first: Ends
+    last: Ends
+
+    @property
+    def period(self) -> float:
+        """The period."""
+        return float(self.orbit.period)
+
+    @property
+    def sizes(self) -> np.ndarray:
+        """The largest size of each component; 1 for one that is zero."""
+        sizes = np.maximum(*(np.max(abs(ends.xs), axis=0) for ends in (self.first, self.last)))
+        return np.where(sizes == 0, 1, sizes)
+
+    def state(self, t: float) -> np.ndarray:
+        """A state near a time, accurate enough for a guess."""
+        since = np.mod(t - self.starts, self.period)
+        i = int(np.argmin(since))
+        part = min(since[i] / (self.stops[i] - self.starts[i]), 1.0)
+        return (1 - part) * self.first.xs[i] + part * self.last.xs[i]
+
+
+def pieces_of(orbit: Orbit) -> Pieces:
+    """The pieces of an orbit."""
+    flights, arcs = flights_of(orbit), dense_arcs(orbit)
+    # The step of each piece, and the times from its start to both ends of the piece.
+    ts, xs, modes, lows, highs = (
+        np.concatenate(rows) for rows in zip(*(_parts_of(arc) for arc in arcs), strict=True)
+    )
+    # The middle of a piece is in its flight; the time of a contact itself is known to rounding.
+    beginnings = np.array([flight.start for flight in flights])
+    middles = ts + 0.5 * (lows + highs)
+    shift = np.where(middles < beginnings[0], float(orbit.period), 0.0)
+    number = np.searchsorted(beginnings, middles + shift, side="right") - 1
+    order = np.argsort(middles + shift)
+    ts, xs, modes, lows, highs, shift, number = (
+        v[order] for v in (ts, xs, modes, lows, highs, shift, number)
+    )
+    flown = np.array([flight.mode for flight in flights])[number]
+    rows = [
+        np.concatenate([v, w])
+        for v, w in (
+            (ts, ts),
+            (xs, xs),
+            (modes, modes),
+            (flown, flown),
+            (lows, highs),
+            (np.ones_like(lows), -np.ones_like(highs)),
+        )
+    ]
+    run = dataclasses.replace(arcs[0], system=orbit.system, ts=None, xs=None, modes=None)
+    seen = _ends_at(run, *(filled(v) for v in rows))
+    first, last = (Ends(*(np.asarray(v)[i : i + ts.size] for v in seen)) for i in (0, ts.size))
+    return Pieces(orbit, flights, number, ts + lows + shift, ts + highs + shift, first, last)
+
+
+def _parts_of(dense: Dense) -> tuple[np.ndarray, ...]:
+    """The steps of a run in parts, each as the time, state and mode at the start of its step, and
+    the times from there to both of its ends."""
     count = cubics_of(tableau_of(dense.stepper))
-    if count == 1:
-        return Steps(orbit, ts, xs)
-    lengths = np.diff(ts, append=ts[-1])
-    divided = ts[:, None] + lengths[:, None] * (np.arange(count) / count)
-    states = np.array(_states(dense, filled(divided.ravel())))[: divided.size]
-    states = states.reshape(*divided.shape, -1)
-    states[:, 0] = xs
-    # A step of length zero, a jump, has no parts.
-    parts = (np.arange(count) == 0) | (lengths[:, None] > 0)
-    return Steps(orbit, divided[parts], states[parts])
+    ts, xs, modes = in_numpy((dense.ts, dense.xs, dense.modes))
+    lengths = np.diff(ts[np.isfinite(ts)])
+    (steps,) = np.nonzero(lengths)  # a step of length zero is a jump
+    low, high = (np.outer(lengths[steps], np.arange(count) + i) / count for i in (0, 1))
+    rows = np.repeat(steps, count)
+    # The parts of a step share their ends to the last bit.
+    return ts[rows], xs[rows], modes[rows], low.ravel(), high.ravel()
 
 
 @eqx.filter_jit
-def _states(dense: Dense, ts: Array) -> Array:
-    """The states at many times."""
-    return jax.vmap(ft.partial(evaluate, dense))(ts)
+def _ends_at(
+    run: Dense, ts: Array, xs: Array, modes: Array, flown: Array, lengths: Array, ways: Array
+) -> tuple[Array, Array, Array, Array]:
+    """The states at times after the starts of steps of a run, and the values of `Ends` in the
+    modes `flown`; of functions that jump at a tick there those just after it for a way of +1, just
+    before it for −1."""
+
+    def one(t: Array, x: Array, mode: Array, flown: Array, h: Array, way: Array) -> tuple:
+        dtype = x.dtype
+        system = lowered.build(run.system, x, compact=True)
+        here = within_step(run, system, t)
+        field = ModeField(here, here.of_surfaces(mode.astype(dtype)))
+        end = step_again(run, here, field, t, here.unpack(x), h)
+        t, x = t + h, pack(end, dtype)
+        problem = problem_of(system, tableau_of(run.stepper), even_grid(t, way, jnp.int32(1)))
+        system = clocks.just_after(problem, t).system
+        modes = system.of_surfaces(flown)
+
+        def guards(t: Array, x: Array) -> Array:
+            return pack(filippov.guard(system, t, system.unpack(x), modes), dtype)
+
+        blocks = system.unpack(x)
+        along = pack(filippov.field(system, t, blocks, modes), dtype)
+        weight = jnp.zeros_like(flown)
+        if system.slides:
+            _, rates = filippov.corners(system, t, blocks)
+            weight = pack(sliding_weights.weights(modes, rates), dtype)
+        return x, *jax.jvp(guards, (t, x), (jnp.ones_like(t), along)), weight
+
+    return jax.vmap(one)(ts, xs, modes, flown, lengths, ways)
 
 
 def filled(rows: np.ndarray) -> Array:

@@ -301,7 +301,9 @@ def least_between(
     low, high = values
     down, up = (length * rate for rate in rates)
     cubic, square = 2 * (low - high) + down + up, 3 * (high - low) - 2 * down - up
-    part = -down / (square + (square**2 - 3 * cubic * down) ** 0.5)
+    inner = square**2 - 3 * cubic * down
+    # On a short step values that differ by rounding do not agree with the rates.
+    part = (-down / (square + inner.clip(0) ** 0.5)).clip(0, 1)
     return part, ((cubic * part + square) * part + down) * part + low
 
 

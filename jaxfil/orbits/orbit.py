@@ -24,7 +24,7 @@ from jaxfil.model.types import Axes, Dataset, PathLike
 from jaxfil.orbits.extremes import extremes_of
 from jaxfil.orbits.orbit_arrays import orbit_arrays
 from jaxfil.orbits.shooting import ShootingOptions, first_failure, merged
-from jaxfil.xla.known import in_numpy, is_known
+from jaxfil.xla.known import in_numpy, is_known, part_of
 from jaxfil.xla.select import select
 
 # The factor by which there is room for more steps if there was not enough, and for a traced run,
@@ -211,6 +211,14 @@ class Orbit(eqx.Module):
 def _is_short(sol: Solution) -> bool:
     """Whether a run, or any of several, has used up its iterations."""
     return bool(np.any(sol.result == RESULTS.max_steps_reached))
+
+
+def dense_arcs(orbit: Orbit) -> list[Dense]:
+    """Every step of the first period of an orbit, of each arc from its own start."""
+    if orbit.options.arcs == 1:
+        return [orbit.dense()]
+    arcs = orbit._arcs()._dense
+    return [part_of(arcs, i) for i in range(orbit.options.arcs)]
 
 
 @jax.jit

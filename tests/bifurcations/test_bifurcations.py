@@ -671,11 +671,23 @@ def follower(late, cut, shift=0.0):
     return Follower(*(jnp.float64(v) for v in (late, cut, 1.5, shift)))
 
 
-@pytest.mark.parametrize("late, cut", [(0.1, 2.0), (-0.1, 2.0), (3.2, 0.54), (-4.4, -0.54)])
-def test_the_margin_is_that_of_the_lower_minimum(late, cut):
+@pytest.mark.parametrize(
+    "late, cut, shift",
+    [
+        (0.1, 2.0, 0.0),
+        (-0.1, 2.0, 0.0),
+        (3.2, 0.54, 0.0),
+        (-4.4, -0.54, 0.0),
+        (0.1, 0.54, 0.95),
+        (0.1, 0.54, 1.05),
+        (0.1, 0.54, -1.05),
+    ],
+)
+def test_the_margin_is_that_of_the_lower_minimum(late, cut, shift):
     """Between the ends of steps, at which the other one is lower for one of these times; in a
-    flight without the heights of the other one; and in a flight past the end of the period."""
-    system = follower(late, cut)
+    flight without the heights of the other one; in a flight past the end of the period; and 0.05
+    after or before a contact, which is in the same step."""
+    system = follower(late, cut, shift)
     orbit = jf.periodic_orbit(system, jnp.array([1.0]), steps=15)
     np.testing.assert_allclose(jf.grazing_margin(system, orbit), 0.47, rtol=0, atol=1e-7)
 
