@@ -6,8 +6,9 @@ between two contacts; on the other side a guard with a minimum, or a contact wit
 
 import collections
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -22,36 +23,71 @@ from jaxfil.bifurcations.tangency import ARRIVAL, FAMILIES, Tangency, approach, 
 from jaxfil.model.outcomes import is_successful
 from jaxfil.model.system import System
 from jaxfil.orbits.orbit import Orbit
-from jaxfil.xla.known import array_of, part_of
+from jaxfil.xla.known import array_of, part_of, stacked
 from jaxfil.xla.select import select
 
-# Largest number of candidates for each surface.
+# Largest number of candidates for each surface from which a bifurcation is searched.
 _CANDIDATES = 3
 # A reset that moves a state at rest on a wall by less than this part of its size, as one of a rate
 # that is not linear, is the identity there.
 _JUMP = 1e-2
 
 
-def guesses(orbit: Orbit, *kinds: str) -> list[list[tuple[Tangency, Array]]]:
-    """For every lane the nearest candidates for a bifurcation of one of these kinds, each with a
-    flag that it is missing. A lane without candidates, or with a failed orbit, has one of NaN."""
+class Guess(NamedTuple):
+    """A candidate, a flag that it is missing, and the distance to it as the parameters change, to
+    first order; 0 for the only one."""
+
+    tangency: Tangency
+    missing: Array
+    away: np.ndarray = np.zeros(())
+
+
+def guesses(
+    orbit: Orbit, *kinds: str, away: Callable[[Orbit, Tangency, Array], Array]
+) -> list[list[Guess]]:
+    """For every lane the nearest candidates for a bifurcation of one of these kinds, by the
+    distance `away` of the parameters to first order: the smallest change of these need not move the
+    orbit to where it is nearest to a surface. A lane without candidates, or with a failed orbit,
+    has one of NaN."""
     with _concrete(orbit):
-        if orbit.x0.ndim == 1:
-            return [_guesses(orbit, kinds)]
-        return [_guesses(part_of(orbit, i), kinds) for i in range(orbit.x0.shape[0])]
+        single = orbit.x0.ndim == 1
+        orbits = [orbit] if single else [part_of(orbit, i) for i in range(orbit.x0.shape[0])]
+        lanes = [_guesses(one, kinds) for one in orbits]
+        if all(len(lane) == 1 for lane in lanes):
+            return lanes
+        distances = [
+            np.reshape(away(orbit, tried.tangency, tried.missing), -1)
+            for tried in attempts(orbit, lanes)
+        ]
+        each = zip(lanes, np.array(distances).T, strict=True)
+        return [_nearest(lane, by) for lane, by in each]
 
 
-def approaches(orbit: Orbit) -> list[tuple[Tangency, Array]]:
-    """The nearest candidates for the margin of one orbit, as in `guesses`, up to the least minimum
-    of a guard, which is missing at a tick."""
+def _nearest(lane: list[Guess], distances: np.ndarray) -> list[Guess]:
+    """The candidates of a lane in the order of their distances, a few of each surface."""
+    nearest, count = [], collections.Counter[int]()
+    for i in np.argsort(distances[: len(lane)], kind="stable").tolist():
+        surface = int(lane[i].tangency.surface)
+        count[surface] += 1
+        if count[surface] <= _CANDIDATES:
+            nearest.append(lane[i]._replace(away=distances[i]))
+    return nearest
+
+
+def approaches(orbit: Orbit) -> list[Guess]:
+    """The nearest candidates for the margin of one orbit, up to the least minimum of a guard, which
+    is missing at a tick."""
     with _concrete(orbit):
         if not is_successful(orbit.result):
             return [_nowhere(orbit)]
         pieces, found = _candidates(orbit, "grazing")
-        tried = []
-        for one in _nearest(found):
-            nowhere = one.minimum == "abrupt"
-            tried.append(_nowhere(orbit) if nowhere else (_tangency(pieces, one), array_of(False)))
+        tried, count = [], collections.Counter[int]()
+        for one in found:
+            count[one.j] += 1
+            if one.minimum == "abrupt":
+                tried.append(_nowhere(orbit))
+            elif one.minimum or count[one.j] <= _CANDIDATES:
+                tried.append(Guess(_tangency(pieces, one), array_of(False)))
             if one.minimum:
                 break
         return tried or [_nowhere(orbit)]
@@ -66,34 +102,32 @@ def _concrete(orbit: Orbit) -> AbstractContextManager:
     return jax.core.eval_context()
 
 
-def attempts(
-    orbit: Orbit, lanes: list[list[tuple[Tangency, Array]]]
-) -> Iterator[tuple[Tangency, Array]]:
+def attempts(orbit: Orbit, lanes: list[list[Guess]]) -> Iterator[Guess]:
     """The result of `guesses`, one candidate of each lane at a time, batched like the orbit. Lanes
     with fewer candidates repeat their last one."""
     for i in range(max(len(lane) for lane in lanes)):
         tried = [lane[min(i, len(lane) - 1)] for lane in lanes]
-        yield tried[0] if orbit.x0.ndim == 1 else jax.tree.map(lambda *v: jnp.stack(v), *tried)
+        yield tried[0] if orbit.x0.ndim == 1 else stacked(tried)
 
 
-def _guesses(orbit: Orbit, kinds: tuple[str, ...]) -> list[tuple[Tangency, Array]]:
+def _guesses(orbit: Orbit, kinds: tuple[str, ...]) -> list[Guess]:
     found = tangency_candidates(orbit, *kinds) if is_successful(orbit.result) else []
-    return [(tangency, array_of(False)) for _, tangency in found] or [_nowhere(orbit)]
+    return [Guess(tangency, array_of(False)) for _, tangency in found] or [_nowhere(orbit)]
 
 
-def _nowhere(orbit: Orbit) -> tuple[Tangency, Array]:
+def _nowhere(orbit: Orbit) -> Guess:
     """A candidate of NaN, which is missing."""
     nan, mode = jnp.full_like(orbit.period, jnp.nan), orbit.first_mode.astype(orbit.period.dtype)
     surface, struck = jnp.zeros((), jnp.int32), array_of(np.False_)
-    return Tangency(orbit.x0, nan, nan, nan, mode, surface, nan, struck), array_of(True)
+    nowhere = Tangency(orbit.x0, nan, nan, nan, mode, surface, nan, struck)
+    return Guess(nowhere, array_of(True))
 
 
 def tangency_candidates(orbit: Orbit, *kinds: str) -> list[tuple[float, Tangency]]:
-    """The candidates of each surface for a bifurcation of one of these kinds, nearest first, each
-    with the time by which the orbit misses it (or is past it)."""
+    """The candidates for a bifurcation of one of these kinds, nearest in time first, each with the
+    time by which the orbit misses it (or is past it)."""
     pieces, found = _candidates(orbit, *kinds)
-    smooth = [one for one in found if one.minimum != "abrupt"]
-    return [(one.reach, _tangency(pieces, one)) for one in _nearest(smooth)]
+    return [(one.reach, _tangency(pieces, one)) for one in found if one.minimum != "abrupt"]
 
 
 def _candidates(orbit: Orbit, *kinds: str) -> tuple[Pieces, list[Candidate]]:
@@ -112,16 +146,6 @@ def _candidates(orbit: Orbit, *kinds: str) -> tuple[Pieces, list[Candidate]]:
     # Two kinds have the same minima.
     first = {(one.j, one.middle): one for one in reversed(found)}
     return pieces, list(reversed(first.values()))
-
-
-def _nearest(found: list[Candidate]) -> list[Candidate]:
-    """The nearest candidates of each surface."""
-    nearest, count = [], collections.Counter[int]()
-    for one in found:
-        count[one.j] += 1
-        if count[one.j] <= _CANDIDATES:
-            nearest.append(one)
-    return nearest
 
 
 def _short(

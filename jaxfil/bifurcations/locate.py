@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxfil.bifurcations.candidates import attempts, guesses
+from jaxfil.bifurcations.candidates import Guess, attempts, guesses
 from jaxfil.bifurcations.defining_system import DefiningSystem, Placed, defining_system
 from jaxfil.bifurcations.tangency import (
     FAMILIES,
@@ -39,7 +39,7 @@ from jaxfil.orbits.implicit import solve_implicit
 from jaxfil.orbits.newton import Root
 from jaxfil.orbits.orbit import Orbit
 from jaxfil.xla.kernel import tree_in_kernel
-from jaxfil.xla.known import array_of, compiled_if_traced, is_known
+from jaxfil.xla.known import array_of, compiled_if_traced, is_known, without_derivatives
 from jaxfil.xla.select import select
 
 _Result = TypeVar("_Result", bound=eqx.Module)
@@ -173,41 +173,57 @@ def find_bifurcation(
     most = array_of(check.count("newton_steps", newton_steps))
     family, code = FAMILIES[kind], BIFURCATION_KINDS.index(kind)
 
-    def one(orbit: Orbit, tangency: Tangency, missing: Array) -> Bifurcation:
-        # Numbers instead of names, so that one program serves all kinds.
-        asked = array_of(family), array_of(code)
-        found = _find(system, parameter, *asked, most, orbit, tangency, missing)
-        return Bifurcation(**found, parameter=parameter, family=FAMILY_NAMES[family])
+    def search(system_of: Callable[[Orbit], System], most: Array) -> Callable:
+        def one(orbit: Orbit, tangency: Tangency, missing: Array) -> tuple[Bifurcation, Array]:
+            # Numbers instead of names, so that one program serves all kinds.
+            asked = array_of(family), array_of(code)
+            there = system_of(orbit), parameter, *asked, most, orbit, tangency, missing
+            found, away = _find(*there)
+            return Bifurcation(**found, parameter=parameter, family=FAMILY_NAMES[family]), away
 
-    search = one if orbit.x0.ndim == 1 else eqx.filter_vmap(one)
-    found = _first_found(search, orbit, guesses(orbit, kind))
+        return one if orbit.x0.ndim == 1 else eqx.filter_vmap(one)
+
+    # Candidates are compared on the known orbit, also while the system is traced.
+    known = without_derivatives(system)
+    first = search(lambda orbit: known if is_known(known) else orbit.system, array_of(1))
+    every = guesses(orbit, kind, away=lambda *guess: first(*guess)[1])
+    found = _nearest_found(orbit, every, search(lambda _: system, most))
     return raise_if_failed(found, found.result) if throw else found
 
 
-def _first_found(
-    search: Callable[..., Bifurcation], orbit: Orbit, lanes: list[list[tuple[Tangency, Array]]]
-) -> Bifurcation:
-    """The first bifurcation from the candidates of each lane. The nearest candidate need not become
-    tangent first."""
+def _nearest_found(orbit: Orbit, lanes: list[list[Guess]], search: Callable) -> Bifurcation:
+    """The nearest bifurcation from the candidates of each lane."""
     found = None
-    for attempt in attempts(orbit, lanes):
-        now = search(orbit, *attempt)
-        found = now if found is None else _better(found, now)
+    for guess in attempts(orbit, lanes):
         # Under jit all candidates are tried.
-        if is_known(found.result) and is_successful(found.result):
+        if found is not None and is_known(found.result) and _is_nearest(orbit, found, guess):
             break
+        now, _ = search(orbit, guess.tangency, guess.missing)
+        found = now if found is None else _better(orbit, found, now)
     assert found is not None
     return found
 
 
-def _better(a: Bifurcation, b: Bifurcation) -> Bifurcation:
-    """For each lane the successful result, or otherwise one that is a bifurcation."""
+def _is_nearest(orbit: Orbit, found: Bifurcation, guess: Guess) -> bool:
+    """Whether no lane has a further candidate that may be nearer."""
+    distance = np.asarray(without_derivatives(_distance(orbit, found)))
+    return is_successful(found.result) and bool(np.all(distance <= guess.away))
+
+
+def _distance(orbit: Orbit, found: Bifurcation) -> Array:
+    return abs(found.value - get_parameter(orbit.system, found.parameter))
+
+
+def _better(orbit: Orbit, a: Bifurcation, b: Bifurcation) -> Bifurcation:
+    """For each lane the successful result, of two the nearer one, or otherwise one that is a
+    bifurcation."""
 
     def rank(found: Bifurcation) -> Array:
         named = (found.result == RESULTS.other_kind).astype(jnp.int32)
         return 2 * (found.result == RESULTS.successful).astype(jnp.int32) + named
 
-    return lane_by_lane(rank(b) > rank(a), b, a)
+    nearer = (rank(b) == rank(a)) & (_distance(orbit, b) < _distance(orbit, a))
+    return lane_by_lane((rank(b) > rank(a)) | nearer, b, a)
 
 
 @eqx.filter_jit
@@ -231,12 +247,20 @@ def _find(
     orbit: Orbit,
     tangency: Tangency,
     missing: Array,
-) -> dict[str, Any]:
-    """The fields of a `Bifurcation`, except names."""
+) -> tuple[dict[str, Any], Array]:
+    """The fields of a `Bifurcation`, except names, and the distance of the parameter from that of
+    the orbit after one more step of Newton's method."""
     equations, guess = _first_guess(system, parameter, family, newton_steps, orbit, tangency)
     z, root = solve_implicit(equations, system, guess)
     found = bifurcation_at(equations, system, orbit, z, root)
-    return _of_kind(found, code, missing)
+    return _of_kind(found, code, missing), first_order(root, abs((z + root.step - guess)[-1]))
+
+
+@jax.jit
+def first_order(root: Root, distance: Array) -> Array:
+    """A distance of the parameters after the step at a root; inf where there is no step."""
+    lost = (root.result != RESULTS.successful) & (root.result != RESULTS.newton_max_steps_reached)
+    return select(lost | jnp.isnan(distance), jnp.inf, distance)
 
 
 @eqx.filter_jit

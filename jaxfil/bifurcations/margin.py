@@ -11,7 +11,7 @@ import jax.core
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxfil.bifurcations.candidates import approaches
+from jaxfil.bifurcations.candidates import Guess, approaches
 from jaxfil.bifurcations.defining_system import DefiningSystem, defining_system
 from jaxfil.bifurcations.tangency import FLIGHT, Closing, Tangency, conditions
 from jaxfil.integrate.run.solution import switches
@@ -101,32 +101,32 @@ def grazing_margin(
     if not isinstance(orbit, Orbit) or orbit.x0.ndim != 1:
         raise ValueError(f"`orbit` must be a single Orbit, got {check.told(orbit)}.")
     system = cast(system, orbit.x0.dtype)
-    found = _margin_at(system, orbit, *_nearest(orbit))
+    found = _margin_at(system, orbit, _nearest(orbit))
     return raise_if_failed(found.value, found.result) if throw else found
 
 
-def _nearest(orbit: Orbit) -> tuple[Tangency, Array]:
-    """The nearest candidate for a margin, and a flag that it is missing. From a contact with the
-    surface the search may end at a maximum of the guard."""
-    tangencies = approaches(orbit)
+def _nearest(orbit: Orbit) -> Guess:
+    """The nearest candidate for a margin. From a contact with the surface the search may end at a
+    maximum of the guard."""
+    nearest = approaches(orbit)
     if switches(orbit.events).size:
         # Decided on the concrete orbit, also while the system is traced.
         with jax.core.eval_context():
-            for tangency, missing in tangencies:
-                found = _margin_at(orbit.system, orbit, tangency, missing)
+            for guess in nearest:
+                found = _margin_at(orbit.system, orbit, guess)
                 if is_successful(found.result):
-                    return tangency, missing
-    return tangencies[0]
+                    return guess
+    return nearest[0]
 
 
-def _margin_at(system: System, orbit: Orbit, tangency: Tangency, missing: Array) -> GrazingMargin:
+def _margin_at(system: System, orbit: Orbit, guess: Guess) -> GrazingMargin:
     """The margin from a candidate."""
-    equations, guess = _first_guess(orbit, tangency)
-    z, root = solve_implicit(equations, system, guess)
+    equations, start = _first_guess(orbit, guess.tangency)
+    z, root = solve_implicit(equations, system, start)
     closing: Closing
     _, _, closing = root.at.aux  # see `_without_height`
-    there = conditions(system, closing.t, closing.x, tangency)
-    return _margin_of(z, root, missing, there.bend)
+    there = conditions(system, closing.t, closing.x, guess.tangency)
+    return _margin_of(z, root, guess.missing, there.bend)
 
 
 @eqx.filter_jit

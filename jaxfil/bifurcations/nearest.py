@@ -4,7 +4,6 @@ Newton's method solves for the orbit, its tangency, the parameters and the Lagra
 together.
 """
 
-import functools as ft
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -16,9 +15,9 @@ import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int
 
-from jaxfil.bifurcations.candidates import attempts, guesses
+from jaxfil.bifurcations.candidates import Guess, attempts, guesses
 from jaxfil.bifurcations.defining_system import defining_system
-from jaxfil.bifurcations.locate import Bifurcation, bifurcation_at, lane_by_lane
+from jaxfil.bifurcations.locate import Bifurcation, bifurcation_at, first_order, lane_by_lane
 from jaxfil.bifurcations.optimality import Nearest
 from jaxfil.bifurcations.tangency import FAMILY_NAMES, FLIGHT, Tangency
 from jaxfil.model import check
@@ -28,7 +27,7 @@ from jaxfil.model.parameter import cast, get_parameter, scalar_parameters
 from jaxfil.model.system import System
 from jaxfil.orbits.implicit import solve_implicit
 from jaxfil.orbits.orbit import Orbit
-from jaxfil.xla.known import part_of
+from jaxfil.xla.known import array_of, is_known, part_of, without_derivatives
 from jaxfil.xla.select import select
 
 _NEWTON_STEPS = 40
@@ -135,23 +134,30 @@ def nearest_grazing(
     check.instance("orbit", orbit, Orbit)
     system = cast(system, orbit.x0.dtype)
     matrix = _matrix(metric, len(names), orbit.x0.dtype)
-    one = ft.partial(_find, system, names, matrix)
-    search = one if orbit.x0.ndim == 1 else eqx.filter_vmap(one)
-    found = _nearest_found(search, orbit, guesses(orbit, "grazing", "grazing-sliding"))
+
+    def search(system_of: Callable[[Orbit], System], most: int) -> Callable:
+        def one(orbit: Orbit, tangency: Tangency, missing: Array) -> tuple[NearestGrazing, Array]:
+            guess = orbit, tangency, missing
+            return _find(system_of(orbit), names, matrix, array_of(most), *guess)
+
+        return one if orbit.x0.ndim == 1 else eqx.filter_vmap(one)
+
+    # Candidates are compared on the known orbit, also while the system is traced.
+    known = without_derivatives(system)
+    first = search(lambda orbit: known if is_known(known) else orbit.system, 1)
+    kinds = "grazing", "grazing-sliding"
+    every = guesses(orbit, *kinds, away=lambda *guess: first(*guess)[1])
+    found = _nearest_found(orbit, every, search(lambda _: system, _NEWTON_STEPS))
     if not throw:
         return found
     return raise_if_failed(found, found.result)
 
 
-def _nearest_found(
-    search: Callable[..., NearestGrazing],
-    orbit: Orbit,
-    lanes: list[list[tuple[Tangency, Array]]],
-) -> NearestGrazing:
+def _nearest_found(orbit: Orbit, lanes: list[list[Guess]], search: Callable) -> NearestGrazing:
     """The nearest result from all candidates of each lane."""
     found = None
-    for attempt in attempts(orbit, lanes):
-        now = search(orbit, *attempt)
+    for guess in attempts(orbit, lanes):
+        now, _ = search(orbit, guess.tangency, guess.missing)
         found = now if found is None else lane_by_lane(_is_nearer(now, found), now, found)
     assert found is not None
     return found
@@ -184,11 +190,14 @@ def _find(
     system: System,
     names: tuple[str, ...],
     metric: Array | None,
+    newton_steps: Array,
     orbit: Orbit,
     tangency: Tangency,
     missing: Array,
-) -> NearestGrazing:
-    defining = defining_system(system, orbit, tangency, FLIGHT, names, _NEWTON_STEPS)
+) -> tuple[NearestGrazing, Array]:
+    """The nearest grazing from a candidate, and the distance after one more step of Newton's
+    method."""
+    defining = defining_system(system, orbit, tangency, FLIGHT, names, newton_steps)
     equations = Nearest(defining, metric)
     dtype, n = tangency.x.dtype, tangency.x.shape[0]
     start = [jnp.asarray(get_parameter(orbit.system, name), dtype) for name in names]
@@ -204,7 +213,8 @@ def _find(
     result = RESULTS.where(located, result, bifurcation.result)
     result = RESULTS.where(missing, RESULTS.no_tangency_found, result)
     nan = jnp.full_like(values, jnp.nan)
-    return NearestGrazing(
+    ahead = equations.distance(system, (w + root.step)[n + 1 : u.shape[0]])
+    found = NearestGrazing(
         values=select(missing, nan, values),
         distance=select(missing, nan[0], equations.distance(system, values)),
         given=jnp.stack([jnp.asarray(get_parameter(system, name)) for name in names]),
@@ -213,3 +223,4 @@ def _find(
         result=result,
         parameters=names,
     )
+    return found, first_order(root, ahead)

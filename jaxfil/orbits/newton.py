@@ -79,10 +79,11 @@ def as_it_is(at: Evaluation, z: Array) -> Evaluation:
 
 
 class Root(eqx.Module):
-    """The end of Newton's iteration: the unknowns, the further data, the size of the residual, in
-    the largest scales so far, and the outcome."""
+    """The end of Newton's iteration: the unknowns, the full step from there, the further data, the
+    size of the residual, in the largest scales so far, and the outcome."""
 
     z: Float[Array, " N"]
+    step: Float[Array, " N"]
     at: Evaluation
     size: Float[Array, ""]
     num_steps: Int[Array, ""]
@@ -138,7 +139,7 @@ def newton(
         return state, jax.tree.map(lambda u, v: select(accepted, u, v), at, before)
 
     last, at = jax.lax.while_loop(unfinished, iterate, (_first(z), blank))
-    return Root(last.z, at, last.size, last.num_steps, last.result)
+    return Root(last.z, last.step, at, last.size, last.num_steps, last.result)
 
 
 def root_of(
@@ -170,7 +171,7 @@ def _newton_of_known(
         if not running:
             break
     assert at is not None  # the guess is always accepted
-    return Root(state.z, at, state.size, state.num_steps, state.result)
+    return Root(state.z, state.step, at, state.size, state.num_steps, state.result)
 
 
 @eqx.filter_jit

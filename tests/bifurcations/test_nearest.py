@@ -148,6 +148,33 @@ def test_its_derivatives_are_those_of_the_formula(orbits):
         np.testing.assert_allclose(got, exact, rtol=0, atol=1e-8)
 
 
+class Teeth(jf.System):
+    """x follows cos 5t + `lift` exp(10 (cos(t − π) − 1)), the third of whose five least values is
+    −1 + `lift`, and the others lower by nearly that."""
+
+    lift: jax.Array
+    slides = False
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        bump = self.lift * jnp.exp(-10 * (jnp.cos(t) + 1))
+        return 10 * jnp.sin(t) * bump - 5 * jnp.sin(5 * t) - (x - jnp.cos(5 * t) - bump)
+
+    def switching(self, t, x):
+        return x[0] + 1.05
+
+
+@pytest.mark.slow
+def test_the_nearest_touch_need_not_be_where_the_orbit_is_lowest():
+    """Only the third least value depends on `lift`, and it is the farthest from the surface."""
+    system = Teeth(jnp.float64(0.3))
+    orbit = jf.periodic_orbit(system, jnp.ones(1), steps=100)
+    located = jf.find_bifurcation(system, "lift", orbit, "grazing")
+    found = jf.nearest_grazing(system, ("lift",), orbit, metric=[4.0])
+    np.testing.assert_allclose([located.value, *found.values], -0.05, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(found.distance, 0.7, rtol=0, atol=2e-7)
+
+
 @pytest.mark.parametrize(
     "arguments, told",
     [
