@@ -248,8 +248,8 @@ def _find(
     tangency: Tangency,
     missing: Array,
 ) -> tuple[dict[str, Any], Array]:
-    """The fields of a `Bifurcation`, except names, and the distance of the parameter from that of
-    the orbit after one more step of Newton's method."""
+    """The fields of a `Bifurcation`, except names, and the change of the parameter since the guess,
+    including one more step of Newton's method."""
     equations, guess = _first_guess(system, parameter, family, newton_steps, orbit, tangency)
     z, root = solve_implicit(equations, system, guess)
     found = bifurcation_at(equations, system, orbit, z, root)

@@ -331,6 +331,6 @@ class _Flow(eqx.Module):
         return (
             pack(state.motion.x, x.dtype),
             stop_gradient(size),
-            state.counts.num_events,
+            state.counts.at_surfaces,
             state.result,
         )

@@ -321,6 +321,42 @@ def test_a_fold_ends_at_a_corner(k, start, stop, atol):
     assert_allclose(point.values, [1, x**3 - 0.5 * x], rtol=0, atol=atol)
 
 
+class Regulator(jf.System):
+    """x'' = u − 0.7 (1 + cos(2πt/T + 0.7)) above a floor, which it stays clear of, with the force
+    u := −k (x − 1) − c x' from each tick on. On the orbit of one period T = 0.6 it is always 0.7,
+    up to rounding."""
+
+    k: jax.Array
+    c: jax.Array
+    slides = False
+    period = 0.6
+    clocks = (jf.Clock(0.6),)
+
+    def vector_field(self, t, x, side):
+        load = 0.7 * (1 + jnp.cos(2 * jnp.pi * t / 0.6 + 0.7))
+        return jnp.stack([x[1], x[2] - load, jnp.zeros_like(t)])
+
+    def switching(self, t, x):
+        return x[0]
+
+    def tick(self, t, x, clock):
+        return x.at[2].set(-self.k * (x[0] - 1) - self.c * x[1])
+
+
+@pytest.mark.slow
+def test_a_tick_that_changes_nothing_but_rounding_is_no_contact():
+    """x and x' are multiplied by [[1 − kT²/2, T − cT²/2], [−kT, 1 − cT]] from tick to tick, with
+    the determinant 1 where c = kT/2 and the trace 2 − kT²."""
+    system = Regulator(jnp.float64(4.0), jnp.float64(2.0))
+    orbit = jf.periodic_orbit(system, jnp.array([1.1, 0.2, 0.5]), steps=16)
+    branch = jf.continue_orbit(system, "c", orbit, stop=1.0, max_step=0.1)
+    assert [point.kind for point in branch.points] == ["neimark-sacker"]
+    curve = jf.continue_bifurcation(system, ("k", "c"), branch.points[0], stop=9.0, max_step=0.1)
+    assert [point.kind for point in curve.points] == ["1:4", "1:3"]
+    found = [point.values for point in curve.points]
+    assert_allclose(found, np.array([[2, 0.6], [3, 0.9]]) / 0.36, rtol=0, atol=1e-7)
+
+
 class Roessler(jf.System):
     """x' = −y − z, y' = x + a y, z' = 1/5 + z (x − c)."""
 

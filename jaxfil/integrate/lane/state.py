@@ -148,6 +148,13 @@ class Counts(eqx.Module):
     period_start: Array | None = None
     """Grid steps completed before this period of the forcing; None if elapsed times never
     restart."""
+    num_ticks: Array | None = None
+    """Number of ticks without a surface among the contacts; None if ticks have no map."""
+
+    @property
+    def at_surfaces(self) -> Array:
+        """Number of contacts that are not ticks alone."""
+        return self.num_events if self.num_ticks is None else self.num_events - self.num_ticks
 
     @property
     def in_period(self) -> Array:

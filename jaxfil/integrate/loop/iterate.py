@@ -272,6 +272,9 @@ def _counted(grid: TimeGrid, state: LoopState, taken: Step) -> Counts:
     def one(flag: Array) -> Array:
         return flag.astype(jnp.int32)
 
+    ticks, end = counts.num_ticks, taken.end
+    if ticks is not None and end.ticked is not None:
+        ticks = ticks + one(taken.made & end.ticked & ~any_of(end.members))
     return dataclasses.replace(
         counts,
         index=counts.index + one(taken.gridded),
@@ -281,6 +284,7 @@ def _counted(grid: TimeGrid, state: LoopState, taken: Step) -> Counts:
         num_accepted=counts.num_accepted
         + one(taken.moved & taken.accepted & (taken.length.h != 0)),
         num_events=counts.num_events + one(taken.made),
+        num_ticks=ticks,
     )
 
 

@@ -269,7 +269,15 @@ def initial_state(problem: Problem, x: Components) -> LoopState:
             # Infinitely long ago, so that the first contact does not count as a repeated one.
             tau=tau - jnp.inf,
         ),
-        counts=Counts(zero, zero, zero, zero, zero, None if problem.grid.forcing is None else zero),
+        counts=Counts(
+            zero,
+            zero,
+            zero,
+            zero,
+            zero,
+            period_start=None if problem.grid.forcing is None else zero,
+            num_ticks=zero if problem.system.ticks else None,
+        ),
         result=_first_result(problem, x, start),
         table=empty_table(system, recording.max_events),
         saves=recording.recorder.empty(system),

@@ -83,11 +83,13 @@ def crossings_of(table: CrossingTable | None) -> Crossings | None:
 
 
 def switches(events: Events | None) -> np.ndarray:
-    """The rows of the contacts that are not grazes, after which the mode may differ."""
+    """The rows of the contacts that are not grazes, after which the mode may differ. A tick without
+    a surface is no contact; whether it changes the state at all may be rounding."""
     if events is None:
         return np.zeros(0, int)
-    kinds = np.asarray(events.kinds)
-    return np.flatnonzero((kinds != EventKind.none) & (kinds != EventKind.graze))
+    kinds, alone = np.asarray(events.kinds), ~np.asarray(events.members).any(axis=-1)
+    others = (EventKind.none, EventKind.graze)
+    return np.flatnonzero(~np.isin(kinds, others) & ~((kinds == EventKind.tick) & alone))
 
 
 class Solution(eqx.Module):
