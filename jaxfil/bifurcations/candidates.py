@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxfil.bifurcations.flights import Candidate, Flight, Pieces, pieces_of
+from jaxfil.bifurcations.flights import Candidate, Flight, Pieces, pieces_of, quiet_node
 from jaxfil.bifurcations.minima import minima
 from jaxfil.bifurcations.tangency import ARRIVAL, FAMILIES, Tangency, approach, conditions
 from jaxfil.model.outcomes import is_successful
@@ -119,7 +119,7 @@ def _nowhere(orbit: Orbit) -> Guess:
     """A candidate of NaN, which is missing."""
     nan, mode = jnp.full_like(orbit.period, jnp.nan), orbit.first_mode.astype(orbit.period.dtype)
     surface, struck = jnp.zeros((), jnp.int32), array_of(np.False_)
-    nowhere = Tangency(orbit.x0, nan, nan, nan, mode, surface, nan, struck)
+    nowhere = Tangency(orbit.starts, nan, nan, nan, nan, mode, surface, nan, struck)
     return Guess(nowhere, array_of(True))
 
 
@@ -137,8 +137,8 @@ def _candidates(orbit: Orbit, *kinds: str) -> tuple[Pieces, list[Candidate]]:
     for kind, j in itertools.product(kinds, range(flights[0].mode.size)):
         arrives = FAMILIES[kind] == ARRIVAL
         for i, flight in enumerate(flights):
-            before, after = flights[i - 1], flights[(i + 1) % len(flights)]
-            found += _short(flight, before, after, j, kind, len(flights))
+            after = flights[(i + 1) % len(flights)]
+            found += _short(pieces, i, j, kind)
             found += (_arrivals if arrives else _impacts)(pieces, flight, after, j, kind)
         if not arrives:
             found += minima(pieces, j, kind)
@@ -148,10 +148,10 @@ def _candidates(orbit: Orbit, *kinds: str) -> tuple[Pieces, list[Candidate]]:
     return pieces, list(reversed(first.values()))
 
 
-def _short(
-    flight: Flight, before: Flight, after: Flight, j: int, kind: str, count: int
-) -> list[Candidate]:
+def _short(pieces: Pieces, i: int, j: int, kind: str) -> list[Candidate]:
     """A flight that may be born in the bifurcation, as its length and the tangency there."""
+    flights = pieces.flights
+    before, flight, after = flights[i - 1], flights[i], flights[(i + 1) % len(flights)]
     a, b, c = before.mode[j], flight.mode[j], after.mode[j]
     patterns = {
         "grazing": a != 0 and c == a and b == -a,
@@ -160,7 +160,7 @@ def _short(
         "crossing-sliding": a != 0 and b == 0 and c == -a,
         "switching-sliding": a != 0 and b == -a and c == 0,
     }
-    if not patterns[kind] or count < 2:
+    if not patterns[kind] or len(flights) < 2:
         return []
     side = {"adding-sliding": b, "crossing-sliding": c, "switching-sliding": b}.get(kind, a)
     # Half into the neighbours, because the flight without the short piece continues there, on
@@ -169,6 +169,8 @@ def _short(
     left = flight.start - 0.5 * (before.stop - before.start)
     right = flight.stop + 0.5 * (after.stop - after.start)
     middle = flight.start if FAMILIES[kind] == ARRIVAL else flight.start + 0.5 * length
+    if pieces.orbit.options.arcs > 1:
+        left, right = max(left, middle - pieces.most), min(right, middle + pieces.most)
     return [Candidate(length, j, side, before.mode, left, middle, right)]
 
 
@@ -178,33 +180,35 @@ def _impacts(pieces: Pieces, flight: Flight, after: Flight, j: int, kind: str) -
     if kind != "grazing" or not flight.surfaces[j] or side == 0 or after.mode[j] != side:
         return []
     reach, there = _reach(pieces, flight, j, side)
-    struck = bool(_is_struck(pieces.orbit.system, there, array_of(pieces.sizes)))
-    period, at = pieces.period, flight.stop
-    left = at - min(0.5 * (at - flight.start), 0.25 * period)
+    x, at = array_of(flight.x), flight.stop
+    struck = bool(_is_struck(pieces.orbit.system, x, there, array_of(pieces.sizes)))
+    left = at - min(0.5 * (at - flight.start), pieces.most)
     # After a reset the orbit is another one, and the full flow follows it.
-    ahead = 0.0 if struck else min(0.5 * (after.stop - after.start), 0.25 * period)
+    ahead = 0.0 if struck else min(0.5 * (after.stop - after.start), pieces.most)
     return [Candidate(reach, j, side, flight.mode, left, at, at + ahead, struck)]
 
 
 @eqx.filter_jit
-def _is_struck(system: System, there: Tangency, sizes: Array) -> Array:
-    """Whether the reset of a contact changes the state where the rate of approach is zero, the
+def _is_struck(system: System, x: Array, there: Tangency, sizes: Array) -> Array:
+    """Whether the reset of a contact at x changes the state where the rate of approach is zero, the
     nearest such state in the scales of the orbit."""
-    rate, slope = approach(system, there)
+    rate, slope = approach(system, there.phase, x, there)
     slope = slope * sizes
     square = slope @ slope
-    x = there.x - sizes * slope * rate / select(square == 0, 1, square)
+    x = x - sizes * slope * rate / select(square == 0, 1, square)
     jump = system.reset(there.phase, x, there.surface) - x
     return jnp.max(abs(jump) / sizes) > _JUMP
 
 
 def _reach(pieces: Pieces, flight: Flight, j: int, side: float) -> tuple[float, Tangency]:
-    """The time in which Ḣ_s at the end of a flight would vanish, and that end."""
-    # Of a reset the state before it; the steps have the one after it.
+    """The time in which Ḣ_s at the end of a flight would vanish, and that end, with its time as the
+    phase."""
+    # Of a reset the state before it.
     x = array_of(flight.x)
     at = array_of(flight.stop, x.dtype)
     there = Tangency(
-        x,
+        x[None],
+        node=at,
         phase=at,
         start=at,
         stop=at,
@@ -226,20 +230,23 @@ def _arrivals(pieces: Pieces, flight: Flight, after: Flight, j: int, kind: str) 
         return []
     at = flight.stop
     reach, _ = _reach(pieces, flight, j, -a)
-    left = at - min(0.5 * (at - flight.start), 0.25 * pieces.period)
+    left = at - min(0.5 * (at - flight.start), pieces.most)
     return [Candidate(reach, j, -a, flight.mode, left, at, at)]
 
 
 def _tangency(pieces: Pieces, found: Candidate) -> Tangency:
     """The tangency as arrays, with its flight shifted to start within the known period."""
-    t0, period, dtype = float(pieces.orbit.options.t0), pieces.period, pieces.first.xs.dtype
+    orbit, period, dtype = pieces.orbit, pieces.period, pieces.first.xs.dtype
+    t0, arcs = float(orbit.options.t0), orbit.options.arcs
     times = found.left, found.middle, found.right
     shift = period * np.floor((found.left - t0) / period)
     left, middle, right = (min(v - shift, t0 + 2 * period) for v in times)
-    # Newton's method corrects it with the rest of the guess, which is no more exact.
-    x = pieces.state(left)
+    node = quiet_node(pieces, left, right)
+    # Newton's method corrects the states with the rest of the guess, which is no more exact.
+    starts = np.array([pieces.state(node + period * i / arcs) for i in range(arcs)])
     return Tangency(
-        x=array_of(x, dtype),
+        starts=array_of(starts, dtype),
+        node=array_of(node / period, dtype),
         phase=array_of(middle / period, dtype),
         start=array_of(left / period, dtype),
         stop=array_of(right / period, dtype),

@@ -1,6 +1,7 @@
 """The defining system of a tangency: an orbit that closes, and two conditions where it is tangent.
 
-Unknowns are the state, the phase of the tangency or the period, and the free parameters. With one
+Unknowns are the states at the starts of the arcs, the phase of the tangency or the period, and the
+free parameters. With one
 free parameter there are as many equations as unknowns; with two they define a curve; with no free
 parameter there is one equation too many. The equations do not contain the square root of the period
 map at grazing.
@@ -8,7 +9,7 @@ map at grazing.
 
 import dataclasses
 import functools as ft
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import jax
@@ -17,7 +18,8 @@ import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int
 
-from jaxfil.bifurcations.tangency import SLIDE, Closing, Tangency, close, defining
+from jaxfil.bifurcations.closure import Closing, close
+from jaxfil.bifurcations.tangency import SLIDE, Tangency, defining
 from jaxfil.model.parameter import replace_parameters
 from jaxfil.model.system import System
 from jaxfil.orbits.affine import Affine, affine
@@ -32,12 +34,12 @@ from jaxfil.xla.thresholds import CONVERGED, RESIDUAL
 
 
 class Placed(eqx.Module):
-    """The meaning of unknowns: the system, the period, the state at the start of the flight and the
+    """The meaning of unknowns: the system, the period, the states at the starts of the arcs and the
     phase of the tangency."""
 
     system: System
     period: Array
-    x: Float[Array, " n"]
+    starts: Float[Array, "M n"]
     phase: Array
 
 
@@ -53,7 +55,13 @@ class Residual(eqx.Module):
         known = self.tangency
         moved = at.phase - known.phase
         return dataclasses.replace(
-            known, x=at.x, phase=at.phase, start=known.start + moved, stop=known.stop + moved
+            known,
+            starts=at.starts,
+            # A state at a phase that a tick passes would jump.
+            node=known.node if at.system.clocks else known.node + moved,
+            phase=at.phase,
+            start=known.start + moved,
+            stop=known.stop + moved,
         )
 
     def __call__(self, at: Placed) -> tuple[Float[Array, " M"], Closing]:
@@ -65,7 +73,7 @@ class Residual(eqx.Module):
 
 
 class DefiningSystem(Equations):
-    """Unknowns z are the state at the start of the flight, the phase of the tangency (for an
+    """Unknowns z are the states at the starts of the arcs, the phase of the tangency (for an
     autonomous system the period), and the free parameters."""
 
     tangency: Tangency
@@ -77,12 +85,28 @@ class DefiningSystem(Equations):
 
     def placed(self, system: System, z: Array) -> Placed:
         """The meaning of z."""
-        n = self.tangency.x.shape[0]
+        n, shape = self.tangency.starts.size, self.tangency.starts.shape
         system = replace_parameters(system, self.free, z[n + 1 :])
         if system.period is None:
-            return Placed(system, z[n], z[:n], self.tangency.phase)
+            return Placed(system, z[n], z[:n].reshape(shape), self.tangency.phase)
         period = jnp.asarray(system.period, z.dtype) * jnp.asarray(self.periods, z.dtype)
-        return Placed(system, period, z[:n], z[n])
+        return Placed(system, period, z[:n].reshape(shape), z[n])
+
+    def unknowns(self, orbit: Orbit, values: Sequence[Array]) -> Float[Array, " N"]:
+        """The unknowns z at the tangency of an orbit with these values of the free parameters."""
+        last = orbit.period if orbit.system.period is None else self.tangency.phase
+        return jnp.concatenate([jnp.ravel(self.tangency.starts), jnp.stack([last, *values])])
+
+    def monodromy(self, slopes: Float[Array, "M N"]) -> Float[Array, "n n"]:
+        """The monodromy matrix from the start of the first arc, given the derivative of the
+        equations."""
+        arcs, n = self.tangency.starts.shape
+        total = jnp.eye(n, dtype=slopes.dtype)
+        for i in range(arcs):
+            block = slopes[i * n : (i + 1) * n, i * n : (i + 1) * n]
+            # The end of an only arc is compared with its own start.
+            total = (block + jnp.eye(n, dtype=slopes.dtype) if arcs == 1 else block) @ total
+        return total
 
     @eqx.filter_jit
     def there(self, system: System, z: Array) -> Placed:
@@ -119,7 +143,7 @@ class DefiningSystem(Equations):
     @property
     def width(self) -> int:
         """Number of directions of a program for all unknowns, with at most two free parameters."""
-        return self.tangency.x.shape[0] + 3
+        return self.tangency.starts.size + 3
 
     @eqx.filter_jit
     def _near(self, system: System, z: Array) -> Affine[Placed]:
@@ -172,15 +196,15 @@ def scales(
     pace = 2 * jnp.pi / at.period
     pair = jnp.stack([height * pace, height * pace**2])
     pair = select(family == SLIDE, pair, pair / pace)
-    equations = jnp.append(size, pair)
-    n = size.shape[0]
+    sizes = jnp.tile(size, at.starts.shape[0])
+    equations, n = jnp.append(sizes, pair), at.starts.size
     # A phase, and a parameter, may be zero, and rounding is then relative to something else, a
     # period, or the change of the parameter that changes an equation by its scale. A parameter that
     # changes no equation has no scale; Newton's method has to see that, so it is 1 at most.
     reach = jnp.min(equations[:, None] / abs(by_z[:, n + 1 :]), axis=0)
     least = jnp.minimum(1, RESIDUAL / CONVERGED * reach)
     q = jnp.maximum(abs(z[n + 1 :]), select(jnp.isfinite(least), least, 1))
-    return equations, jnp.concatenate([size, at.period[None], q])
+    return equations, jnp.concatenate([sizes, at.period[None], q])
 
 
 @eqx.filter_jit
@@ -206,7 +230,7 @@ def _slopes(
 @eqx.filter_jit
 def _slopes_along(residual: Residual, near: Affine[Placed]) -> tuple[Array, tuple[Array, Closing]]:
     """`_slopes` along the slopes of `near`, one program for all varying unknowns."""
-    return _slopes(lambda s: residual(near(s)), jnp.zeros(near.width, near.value.x.dtype))
+    return _slopes(lambda s: residual(near(s)), jnp.zeros(near.width, near.value.starts.dtype))
 
 
 def defining_system(
@@ -222,6 +246,7 @@ def defining_system(
     periods = 1
     if system.period is not None:
         periods = jnp.round(stop_gradient(orbit.period / jnp.asarray(orbit.system.period)))
-    options = dataclasses.replace(orbit.options, arcs=1)
     family = array_of(family, jnp.int32)
-    return DefiningSystem(stop_gradient(tangency), options, periods, newton_steps, family, free)
+    return DefiningSystem(
+        stop_gradient(tangency), orbit.options, periods, newton_steps, family, free
+    )

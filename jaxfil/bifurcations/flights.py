@@ -105,6 +105,11 @@ class Pieces:
         return float(self.orbit.period)
 
     @property
+    def most(self) -> float:
+        """The longest time on either side of a tangency for a flight around it."""
+        return 0.25 * self.period / self.orbit.options.arcs
+
+    @property
     def sizes(self) -> np.ndarray:
         """The largest size of each component; 1 for one that is zero."""
         sizes = np.maximum(*(np.max(abs(ends.xs), axis=0) for ends in (self.first, self.last)))
@@ -150,6 +155,26 @@ def pieces_of(orbit: Orbit) -> Pieces:
     seen = _ends_at(run, *(filled(v) for v in rows))
     first, last = (Ends(*(np.asarray(v)[i : i + ts.size] for v in seen)) for i in (0, ts.size))
     return Pieces(orbit, flights, number, ts + lows + shift, ts + highs + shift, first, last)
+
+
+def quiet_node(pieces: Pieces, left: float, right: float) -> float:
+    """The start of an arc that contains the flight from `left` to `right`. It is the start of the
+    flight; for a system with clocks, whose ticks may pass this as the flight moves, it is before
+    the flight, in the middle of a long time without a tick or a contact."""
+    orbit, period = pieces.orbit, pieces.period
+    if not orbit.system.clocks:
+        return left
+    low = right - period / orbit.options.arcs
+    each = [(float(clock.phase), float(clock.period)) for clock in orbit.system.clocks]
+    each += [(flight.start, period) for flight in pieces.flights if np.isfinite(flight.start)]
+    times = [
+        phase + step * np.arange(np.ceil((low - phase) / step), (left - phase) / step)
+        for phase, step in each
+    ]
+    edges = np.sort(np.concatenate([[low, left], *times]))
+    lengths, middles = np.diff(edges), 0.5 * (edges[1:] + edges[:-1])
+    far = np.where(2 * lengths < lengths.max(), np.inf, abs(middles - 0.5 * (low + left)))
+    return float(middles[np.argmin(far)])
 
 
 def _parts_of(dense: Dense) -> tuple[np.ndarray, ...]:

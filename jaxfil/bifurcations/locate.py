@@ -20,11 +20,11 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxfil.bifurcations.candidates import Guess, attempts, guesses
+from jaxfil.bifurcations.closure import Closing
 from jaxfil.bifurcations.defining_system import DefiningSystem, Placed, defining_system
 from jaxfil.bifurcations.tangency import (
     FAMILIES,
     FAMILY_NAMES,
-    Closing,
     Conditions,
     Tangency,
     conditions,
@@ -65,8 +65,8 @@ class Bifurcation(eqx.Module):
     value: Float[Array, ""]
     """The parameter value; NaN without a start."""
     orbit: Orbit
-    """The orbit at this value. It starts at the start of the flight around the tangency. Its
-    `events` are the contacts of the given orbit; those at the tangency itself would depend on
+    """The orbit at this value. It starts at or before the start of the flight around the tangency.
+    Its `events` are the contacts of the given orbit; those at the tangency itself would depend on
     rounding."""
     t: Float[Array, ""]
     """The time of the tangency."""
@@ -274,9 +274,8 @@ def _first_guess(
 ) -> tuple[DefiningSystem, Array]:
     """The equations and a guess of their unknowns."""
     equations = defining_system(system, orbit, tangency, family, (parameter,), newton_steps)
-    value = jnp.asarray(get_parameter(orbit.system, parameter), tangency.x.dtype)
-    phase = orbit.period if system.period is None else tangency.phase
-    return equations, jnp.concatenate([tangency.x, jnp.stack([phase, value])])
+    value = jnp.asarray(get_parameter(orbit.system, parameter), tangency.starts.dtype)
+    return equations, equations.unknowns(orbit, [value])
 
 
 @eqx.filter_jit
@@ -315,23 +314,21 @@ def _fields_of(
     located = kind_of(equations.family, found)
     result = RESULTS.where(closing.holds, RESULTS.successful, RESULTS.orbit_lost)
     result = RESULTS.where(root.result == RESULTS.successful, result, root.result)
-    n = tangency.x.shape[0]
     return dict(
-        value=z[n + 1],
+        value=z[tangency.starts.size + 1],
         orbit=Orbit(
-            x0=tangency.x,
+            x0=tangency.starts[0],
             period=at.period,
-            # The closure's derivative is the flow map's minus one, through the tangency.
-            monodromy=root.at.jacobian[:n, :n] + jnp.eye(n, dtype=z.dtype),
+            monodromy=equations.monodromy(root.at.jacobian),
             residual=root.size,
             events=near.events,
             num_events=near.num_events,
-            first_mode=tangency.mode.astype(jnp.int8),
+            first_mode=closing.first_mode.astype(jnp.int8),
             result=root.result,
             system=at.system,
-            starts=tangency.x[None],
+            starts=tangency.starts,
             num_steps=root.num_steps,
-            options=dataclasses.replace(equations.options, t0=tangency.start * at.period),
+            options=dataclasses.replace(equations.options, t0=tangency.node * at.period),
         ),
         t=closing.t,
         x=closing.x,

@@ -12,8 +12,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxfil.bifurcations.candidates import Guess, approaches
+from jaxfil.bifurcations.closure import Closing
 from jaxfil.bifurcations.defining_system import DefiningSystem, defining_system
-from jaxfil.bifurcations.tangency import FLIGHT, Closing, Tangency, conditions
+from jaxfil.bifurcations.tangency import FLIGHT, Tangency, conditions
 from jaxfil.integrate.run.solution import switches
 from jaxfil.model import check
 from jaxfil.model.card import outcome, precision
@@ -134,10 +135,7 @@ def _first_guess(orbit: Orbit, tangency: Tangency) -> tuple["_Margin", Array]:
     """The equations and a guess of their unknowns. They do not contain the system itself, which may
     be traced."""
     equations = defining_system(orbit.system, orbit, tangency, FLIGHT, (), _NEWTON_STEPS)
-    # The phase of the minimum is unknown, except for an autonomous system: there it is fixed, and
-    # the period is unknown (`DefiningSystem.placed`).
-    last = orbit.period if orbit.system.period is None else tangency.phase
-    return _Margin(equations), jnp.append(tangency.x, last)
+    return _Margin(equations), equations.unknowns(orbit, [])
 
 
 @jax.jit

@@ -6,8 +6,9 @@ least without a tangency.
 
 import numpy as np
 
+from jaxfil.bifurcations.closure import least_between
 from jaxfil.bifurcations.flights import Candidate, Pieces
-from jaxfil.bifurcations.tangency import FAMILIES, SLIDE, least_between
+from jaxfil.bifurcations.tangency import FAMILIES, SLIDE
 
 
 def minima(pieces: Pieces, j: int, kind: str) -> list[Candidate]:
@@ -23,10 +24,10 @@ def minima(pieces: Pieces, j: int, kind: str) -> list[Candidate]:
     lengths, found = pieces.stops - pieces.starts, []
 
     def add(k: int, least: float, at: float, minimum: str) -> None:
-        flight, period = pieces.flights[pieces.number[k]], pieces.period
+        flight, most = pieces.flights[pieces.number[k]], pieces.most
         side = np.sign(pieces.first.weights[k, j]) if sliding else flight.mode[j]
-        left = at - min(0.5 * (at - flight.start), 0.25 * period)
-        right = at + min(0.5 * (flight.stop - at), 0.25 * period)
+        left = at - min(0.5 * (at - flight.start), most)
+        right = at + min(0.5 * (flight.stop - at), most)
         found.append(Candidate(least, j, side, flight.mode, left, at, right, minimum=minimum))
 
     for k in np.flatnonzero(flown & (rates[0] < 0) & (rates[1] >= 0)).tolist():

@@ -199,10 +199,9 @@ def _find(
     method."""
     defining = defining_system(system, orbit, tangency, FLIGHT, names, newton_steps)
     equations = Nearest(defining, metric)
-    dtype, n = tangency.x.dtype, tangency.x.shape[0]
+    dtype, n = tangency.starts.dtype, tangency.starts.size
     start = [jnp.asarray(get_parameter(orbit.system, name), dtype) for name in names]
-    phase = orbit.period if system.period is None else tangency.phase
-    u = jnp.concatenate([tangency.x, jnp.stack([phase, *start])])
+    u = defining.unknowns(orbit, start)
     w, root = solve_implicit(equations, system, jnp.append(u, jnp.zeros(n + 2, dtype)))
     u, values = w[: u.shape[0]], w[n + 1 : u.shape[0]]
     there = eqx.tree_at(lambda r: r.at, root, root.at.aux.defining)

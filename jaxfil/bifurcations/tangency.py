@@ -16,25 +16,16 @@ In a program a family is its index in `FAMILY_NAMES`, so that one program serves
 """
 
 from collections.abc import Callable
-from typing import TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxfil.integrate.lane.problem import KeptMode, even_grid
-from jaxfil.integrate.loop.extensions import problem_of
-from jaxfil.integrate.loop.iterate import integrate
-from jaxfil.integrate.steppers.explicit import tableau_of
 from jaxfil.integrate.surfaces import filippov
 from jaxfil.integrate.system.components import pack
-from jaxfil.integrate.system.lowered import ComponentSystem, build
-from jaxfil.model.outcomes import RESULTS
+from jaxfil.integrate.system.lowered import build
 from jaxfil.model.system import System
-from jaxfil.orbits.shooting import ShootingOptions
 from jaxfil.xla.kernel import kernel_if_it_fits
 from jaxfil.xla.select import select
 
@@ -49,18 +40,15 @@ FAMILIES = {
     "switching-sliding": ARRIVAL,
 }
 
-# Pieces of the flight on either side of the tangency.
-_PIECES = 16
-# A guard below this fraction of its largest value on the flight is zero, at the tangency itself.
-_ROUNDING = 1e-7
-
 
 class Tangency(eqx.Module):
-    """A tangency of an orbit, and the flight around it that is followed in one mode. Phases are
-    times since t = 0 in periods."""
+    """A tangency of an orbit of M arcs of equal length, and the flight around it that is followed
+    in one mode. Phases are times since t = 0 in periods."""
 
-    x: Float[Array, " n"]
-    """The state at the start of the flight."""
+    starts: Float[Array, "M n"]
+    """The states at the starts of the arcs. The first arc contains the flight."""
+    node: Float[Array, ""]
+    """The phase of the start of the first arc."""
     phase: Float[Array, ""]
     """The phase of the tangency."""
     start: Float[Array, ""]
@@ -149,10 +137,11 @@ def defining(
     return select(family == SLIDE, jnp.stack([rate, along_slide]), jnp.stack([h, rate]))
 
 
-def approach(system: System, there: Tangency) -> tuple[Array, Float[Array, " n"]]:
-    """s Ḣ_s where a flight starts, and its gradient by the state."""
-    rate = _Rates(system, there.x, there).rate
-    return jax.value_and_grad(rate, argnums=1)(there.start, there.x)
+def approach(
+    system: System, t: Array, x: Float[Array, " n"], tangency: Tangency
+) -> tuple[Array, Float[Array, " n"]]:
+    """s Ḣ_s at (t, x), and its gradient by the state."""
+    return jax.value_and_grad(_Rates(system, x, tangency).rate, argnums=1)(t, x)
 
 
 @eqx.filter_jit
@@ -195,142 +184,3 @@ def kind_of(family: Int[Array, ""], found: Conditions) -> Int[Array, ""]:
     ]
     kinds = jnp.stack([jnp.stack(row) for row in flags])[family]
     return select(jnp.any(kinds), jnp.argmax(kinds), -1)
-
-
-class Closing(eqx.Module):
-    """The closure residual of an orbit through a tangency, with its contacts. `holds` is true if
-    the guards of the flight, followed as if Σ were not there, are positive except at the
-    tangency. `contacts` counts the contacts of the orbit elsewhere."""
-
-    gap: Float[Array, " n"]
-    t: Array
-    x: Float[Array, " n"]
-    size: Float[Array, " n"]
-    holds: Array
-    contacts: Int[Array, ""]
-    result: RESULTS
-
-
-def close(
-    system: System,
-    period: Array,
-    options: ShootingOptions,
-    family: Int[Array, ""],
-    tangency: Tangency,
-) -> Closing:
-    """Integrate the orbit once from the start of the flight, with the reset at the tangency if that
-    is struck."""
-    on_components = build(system, tangency.x, compact=options.compact)
-    mode = on_components.of_surfaces(tangency.mode)
-    start, at = tangency.start * period, tangency.phase * period
-    arrival = family == ARRIVAL
-    stop = select(arrival, at, tangency.stop * period)
-    # The full flow covers the remainder, or for an arrival, an ordinary contact, the whole period.
-    rest = select(arrival, start, stop)
-    times = jnp.concatenate([_divided(start, at), _divided(at, stop), rest[None]])
-    lengths = jnp.repeat(jnp.stack([at - start, stop - at]) / _PIECES, _PIECES)
-    lengths = jnp.append(lengths, start + period - rest)
-
-    def stretch(carry: tuple, now: tuple[Array, Array, Array, Array]) -> tuple:
-        x, size, result = carry
-        t, length, keeps, after = now
-        x = select(keeps | ~arrival, x, tangency.x)
-        if system.resets:
-            x = select(after & tangency.struck, system.reset(t, x, tangency.surface), x)
-        flow = _Flow(on_components, options, KeptMode(mode, keeps), period)
-        x, new_size, contacts, new = flow(t, length, x)
-        result = RESULTS.where(result == RESULTS.successful, new, result)
-        return (x, jnp.maximum(size, new_size), result), (x, contacts)
-
-    # One program for the pieces of the flight, whose guards are checked, and for the remainder.
-    number = np.arange(2 * _PIECES + 1)
-    keeps, after = jnp.asarray(number < 2 * _PIECES), jnp.asarray(number == _PIECES)
-    first = (tangency.x, abs(stop_gradient(tangency.x)), RESULTS.successful)
-    (end, size, result), (xs, contacts) = jax.lax.scan(
-        stretch, first, (times, lengths, keeps, after)
-    )
-    ts = jnp.append(start, (times + lengths)[:-1])
-    xs = jnp.concatenate([tangency.x[None], xs[:-1]])
-    # After a reset the full flow follows the orbit, in a mode of its own.
-    seen = ~tangency.struck | jnp.asarray(number <= _PIECES)
-    return Closing(
-        gap=end - tangency.x,
-        t=at,
-        x=xs[_PIECES],
-        size=size,
-        holds=_holds(on_components, tangency.mode, seen, *stop_gradient((ts, xs))),
-        contacts=contacts[-1],
-        result=result,
-    )
-
-
-def _divided(start: Array, stop: Array) -> Array:
-    """The beginnings of equal pieces."""
-    return start + (stop - start) * jnp.arange(_PIECES).astype(start.dtype) / _PIECES
-
-
-def _holds(on_components: ComponentSystem, mode: Array, seen: Array, ts: Array, xs: Array) -> Array:
-    """Whether all guards are positive beyond rounding at the points `seen` of a flight, and so are
-    their minima between two."""
-    modes = on_components.of_surfaces(mode)
-
-    def guards(t: Array, x: Array) -> Array:
-        return pack(filippov.guard(on_components, t, on_components.unpack(x), modes), x.dtype)
-
-    def with_rates(t: Array, x: Array) -> tuple[Array, Array]:
-        blocks = filippov.field(on_components, t, on_components.unpack(x), modes)
-        return jax.jvp(guards, (t, x), (jnp.ones_like(t), pack(blocks, x.dtype)))
-
-    values, rates = jax.vmap(with_rates)(ts, xs)
-    low, high = rates[:-1], rates[1:]
-    least = least_between(jnp.diff(ts)[:, None], (values[:-1], values[1:]), (low, high))[1]
-    least = select((low < 0) & (high > 0), least, values[1:])
-    least = jnp.concatenate([values[:1], least])
-    positive = least >= -_ROUNDING * jnp.max(abs(values), axis=0)
-    return jnp.all(positive | ~seen[:, None])
-
-
-_Number = TypeVar("_Number", Array, np.ndarray)
-
-
-def least_between(
-    length: _Number, values: tuple[_Number, _Number], rates: tuple[_Number, _Number]
-) -> tuple[_Number, _Number]:
-    """The minimum of the cubic with these values and rates at both ends of a step, the first rate
-    negative and the second one not: its fraction of the step, and its value."""
-    low, high = values
-    down, up = (length * rate for rate in rates)
-    cubic, square = 2 * (low - high) + down + up, 3 * (high - low) - 2 * down - up
-    inner = square**2 - 3 * cubic * down
-    # On a short step values that differ by rounding do not agree with the rates.
-    part = (-down / (square + inner.clip(0) ** 0.5)).clip(0, 1)
-    return part, ((cubic * part + square) * part + down) * part + low
-
-
-class _Flow(eqx.Module):
-    """The flow over stretches of time."""
-
-    system: ComponentSystem
-    options: ShootingOptions
-    kept: KeptMode
-    period: Array
-
-    def __call__(self, t0: Array, length: Array, x: Array) -> tuple[Array, Array, Array, RESULTS]:
-        """End, sizes, the number of contacts and the outcome."""
-        options = self.options
-        count = jnp.ceil(options.steps * abs(stop_gradient(length / self.period)))
-        num_steps = jnp.clip(jnp.nan_to_num(count), 1, 8 * options.steps).astype(jnp.int32)
-        problem = problem_of(
-            self.system,
-            tableau_of(options.stepper),
-            even_grid(t0, length, num_steps, options.max_events),
-            kept=self.kept,
-        )
-        state = integrate(problem, self.system.unpack(x))
-        size = jnp.maximum(pack(state.motion.scale, x.dtype), abs(x))
-        return (
-            pack(state.motion.x, x.dtype),
-            stop_gradient(size),
-            state.counts.at_surfaces,
-            state.result,
-        )

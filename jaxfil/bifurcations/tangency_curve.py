@@ -13,16 +13,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxfil.bifurcations.closure import Closing
 from jaxfil.bifurcations.defining_system import DefiningSystem
+from jaxfil.bifurcations.flights import Pieces, pieces_of, quiet_node
 from jaxfil.bifurcations.tangency import (
     ARRIVAL,
     FAMILIES,
     SLIDE,
-    Closing,
     Conditions,
+    Tangency,
     conditions,
     kind_of,
 )
+from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.system import System
 from jaxfil.orbits.curve import (
     ArclengthConstraint,
@@ -30,9 +33,11 @@ from jaxfil.orbits.curve import (
     Special,
     StepSizes,
     at_root,
+    constraint_across,
 )
 from jaxfil.orbits.locating import change_on_curve, zero_on_curve
 from jaxfil.orbits.newton import Root
+from jaxfil.orbits.orbit import Orbit
 from jaxfil.orbits.plane_curve import EquationsCurve
 from jaxfil.orbits.unit_circle import period_doubling, zeros_between
 from jaxfil.xla.known import array_of
@@ -96,9 +101,6 @@ def _solve(
 def _with_known(equations: DefiningSystem, root: Root, found: Conditions) -> Root:
     """A root with further data."""
     closing: Closing = root.at.aux
-    n = closing.x.shape[0]
-    # The closure's derivative is the flow map's minus one.
-    monodromy = root.at.jacobian[:n, :n] + jnp.eye(n, dtype=root.z.dtype)
     known = _Known(
         t=closing.t,
         x=closing.x,
@@ -107,7 +109,7 @@ def _with_known(equations: DefiningSystem, root: Root, found: Conditions) -> Roo
         conditions=found,
         holds=closing.holds,
         contacts=closing.contacts,
-        monodromy=monodromy,
+        monodromy=equations.monodromy(root.at.jacobian),
     )
     return dataclasses.replace(root, at=dataclasses.replace(root.at, aux=known))
 
@@ -137,11 +139,59 @@ class TangencyCurve(EquationsCurve[TangencyPoint]):
     def metric(self, point: TangencyPoint) -> np.ndarray:
         """Scales: the largest value on the orbit for a state, one period for a phase, the size of
         any other unknown."""
-        size = point.known.size
-        q = abs(point.u[size.shape[0] :])
+        size = np.tile(point.known.size, self.equations.options.arcs)
+        q = abs(point.u[size.size :])
         if self.system.period is not None:
             q[0] = 1.0
         return np.maximum(np.append(np.where(size == 0, 1, size), q), self.least)
+
+    def elsewhere(
+        self, here: TangencyPoint, start: TangencyPoint
+    ) -> "tuple[TangencyCurve, TangencyPoint, TangencyPoint] | None":
+        """The curve of a system with clocks, whose arcs keep their phases, with arcs that start far
+        from the flight here."""
+        if not self.system.clocks:
+            return None
+        known, pieces = self._pieces(here)
+        node = quiet_node(pieces, *(float(v) * pieces.period for v in (known.start, known.stop)))
+        known = dataclasses.replace(known, node=array_of(node / pieces.period, here.u.dtype))
+        equations = dataclasses.replace(self.equations, tangency=known)
+        curve = dataclasses.replace(self, equations=equations)
+        point = self._seen(curve, here)
+        return None if point is None else (curve, point, self._seen(curve, start) or start)
+
+    def _seen(self, curve: "TangencyCurve", point: TangencyPoint) -> TangencyPoint | None:
+        """A point as a point of a curve whose arcs start elsewhere."""
+        _, pieces = self._pieces(point)
+        arcs, node = self.equations.options.arcs, float(curve.equations.tangency.node)
+        phases = node + np.arange(arcs) / arcs
+        starts = np.ravel([pieces.state(phase * pieces.period) for phase in phases])
+        u, along = (np.array(v) for v in (point.u, point.tangent))
+        u[: starts.size], along[: starts.size] = starts, 0.0
+        along /= np.linalg.norm(along)
+        return curve.correct(u, constraint_across(u, point.scale, along, 0.0), along)
+
+    def _pieces(self, point: TangencyPoint) -> tuple[Tangency, Pieces]:
+        """The tangency at a point, and the pieces of its orbit."""
+        equations = self.equations
+        at = equations.there(self.system, array_of(point.u))
+        tangency = equations.residual_at.tangency_at(at)
+        options = dataclasses.replace(equations.options, t0=tangency.node * at.period)
+        orbit = Orbit(
+            x0=at.starts[0],
+            period=at.period,
+            monodromy=array_of(point.known.monodromy),
+            residual=jnp.zeros_like(at.period),
+            events=None,
+            num_events=jnp.zeros((), jnp.int32),
+            first_mode=tangency.mode.astype(jnp.int8),
+            result=RESULTS.successful,
+            system=at.system,
+            starts=at.starts,
+            num_steps=array_of(point.num_steps),
+            options=options,
+        )
+        return tangency, pieces_of(orbit)
 
     def special_points(
         self, a: TangencyPoint, b: TangencyPoint

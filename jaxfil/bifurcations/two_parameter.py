@@ -193,7 +193,7 @@ def _on_curve(
     # The flight is in phases; t0 is taken from the orbit's own options.
     phase = at.period if at.system.period is None else tangency.phase
     values = [float(get_parameter(at.system, name)) for name in free]
-    u = np.concatenate([tangency.x, [float(phase)], values])
+    u = np.concatenate([np.ravel(tangency.starts), [float(phase)], values])
     axis = curve.axis(u)
     constraint = constraint_across(u, np.where(u == 0, 1.0, abs(u)), axis, 0.0)
     return curve, *curve.begin(u, constraint, axis)

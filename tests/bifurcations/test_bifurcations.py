@@ -12,6 +12,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.linalg
+import scipy.optimize
 
 import jaxfil as jf
 from jaxfil.bifurcations.candidates import tangency_candidates
@@ -740,6 +742,77 @@ def test_a_flight_is_lost_where_another_surface_is_reached_for_a_short_while():
     found = jf.find_bifurcation(system, "wall", orbit, "grazing")
     assert (int(orbit.num_events), int(found.tangency.surface)) == (0, 1)
     np.testing.assert_allclose(found.value, 2.03 - np.cos(0.03), rtol=0, atol=1e-9)
+
+
+class Square(jf.System):
+    """x'' + x' + x is the force for half a period T, from −T/4 on, and its negative for the other
+    half, below a stop at 1."""
+
+    force: jax.Array
+    omega: jax.Array
+    slides = False
+
+    def vector_field(self, t, x, side):
+        sign = jnp.where(jnp.mod(t + self.period / 4, self.period) < self.period / 2, 1.0, -1.0)
+        return jnp.stack([x[1], sign * self.force - x[1] - x[0]])
+
+    def switching(self, t, x):
+        return 1.0 - x[0]
+
+    def reset(self, t, x, surface):
+        return x.at[1].multiply(-0.5)
+
+    @property
+    def period(self):
+        return 2 * jnp.pi / self.omega
+
+    @property
+    def clocks(self):
+        return (jf.Clock(self.period / 2, self.period / 4),)
+
+
+@pytest.mark.slow
+def test_a_field_may_jump_next_to_a_touch():
+    """From −T/4 on x is 1 + e^(Bs)(z − 1) per force, and after half a period −z. The jump follows
+    the touch by 1/100 of the period, and turns the guard as much as seven times faster."""
+    matrix, one = np.array([[0.0, 1.0], [-1.0, -1.0]]), np.array([1.0, 0.0])
+    for omega in (0.852357, 0.851211, 0.850064, 0.848915):
+        half = scipy.linalg.expm(matrix * np.pi / omega)
+        z = -np.linalg.solve(np.eye(2) + half, (np.eye(2) - half) @ one)
+        flow = lambda s, z=z: one + scipy.linalg.expm(matrix * s) @ (z - one)  # noqa: E731
+        time = scipy.optimize.brentq(lambda s, flow=flow: flow(s)[1], 2, np.pi / omega, xtol=1e-14)
+        top = flow(time)[0]
+        system = Square(jnp.float64(0.9 / top), jnp.float64(omega))
+        orbit = jf.periodic_orbit(system, jnp.asarray(0.9 / top * flow(np.pi / omega / 2)))
+        found = jf.find_bifurcation(system, "force", orbit, "grazing")
+        np.testing.assert_allclose(found.value, 1 / top, rtol=0, atol=1e-11)
+
+
+class Runaway(jf.System):
+    """x' = 6x + cos t above −`wall`. A difference from the orbit −cos(t + a)/√37 grows by e^(12π)
+    in a period."""
+
+    wall: jax.Array
+    slides = False
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        return 6 * x + jnp.cos(t)
+
+    def switching(self, t, x):
+        return x[0] + self.wall
+
+
+@pytest.mark.slow
+def test_the_margin_of_an_unstable_orbit_is_found_in_segments():
+    system = Runaway(jnp.float64(0.6))
+    orbit = jf.periodic_orbit(system, jnp.array([-0.16]), segments=8, steps=160)
+    margin = jf.grazing_margin(system, orbit)
+    graze = jf.find_bifurcation(system, "wall", orbit, "grazing")
+    least = 1 / np.sqrt(37)
+    np.testing.assert_allclose([margin, graze.value], [0.6 - least, least], rtol=0, atol=1e-9)
+    multiplier = np.exp(12 * np.pi)
+    np.testing.assert_allclose(graze.orbit.multipliers, [multiplier], rtol=1e-9)
 
 
 class Filter(jf.System):

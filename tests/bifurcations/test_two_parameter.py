@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.integrate
+import scipy.linalg
 import scipy.optimize
 from numpy.testing import assert_allclose
 
@@ -188,6 +189,58 @@ def test_a_tangency_moves_through_the_whole_period(omega, wall, stop):
     assert curve.ended[1] == f"omega = {stop} was reached"
     exact = [wall * size(w) for w in curve.values[:, 0]]
     assert_allclose(curve.values[:, 1], exact, rtol=1e-9, atol=0)
+
+
+class Sampled(jf.System):
+    """x'' + x'/2 + 2x = cos(t − a) + u below a stop d, with u := −0.3 x' at 16 ticks a period."""
+
+    a: jax.Array
+    d: jax.Array
+
+    slides = False
+    period = 2 * np.pi
+    clocks = (jf.Clock(np.pi / 8, 0.2),)
+
+    def vector_field(self, t, x, side):
+        push = jnp.cos(t - self.a) + x[2]
+        return jnp.stack([x[1], push - 0.5 * x[1] - 2 * x[0], jnp.zeros_like(t)])
+
+    def switching(self, t, x):
+        return self.d - x[0]
+
+    def reset(self, t, x, surface):
+        return x.at[1].multiply(-0.5)
+
+    def tick(self, t, x, clock):
+        return x.at[2].set(-0.3 * x[1])
+
+
+@pytest.mark.slow
+def test_ticks_enter_and_leave_the_flight_of_a_curve_of_grazes():
+    """The least stop is max x, the same after half a turn of the force, in which eight ticks pass
+    the touch. From just after a tick, by the matrix of (x, x', u, cos t, sin t)."""
+    a = 0.4
+    matrix = np.zeros((5, 5))
+    matrix[0, 1], matrix[1] = 1, [-2, -0.5, 1, 1, 0]
+    matrix[3, 4], matrix[4, 3] = -1, 1
+    tick = np.eye(5)
+    tick[2] = [0, -0.3, 0, 0, 0]
+    turn = np.linalg.matrix_power(tick @ scipy.linalg.expm(matrix * np.pi / 8), 16)
+    force = [np.cos(0.2 - a), np.sin(0.2 - a)]
+    z = np.append(np.linalg.solve(np.eye(3) - turn[:3, :3], turn[:3, 3:] @ force), force)
+    tops = []
+    for _ in range(16):
+        flow = lambda s, z=z: scipy.linalg.expm(matrix * s) @ z  # noqa: E731
+        z = tick @ flow(np.pi / 8)
+        if flow(0)[1] > 0 > flow(np.pi / 8)[1]:
+            time = scipy.optimize.brentq(lambda s, flow=flow: flow(s)[1], 0, np.pi / 8, xtol=1e-14)
+            tops.append(flow(time)[0])
+    system = Sampled(jnp.float64(a), jnp.float64(0.8))
+    orbit = jf.periodic_orbit(system, jnp.array([0.6, 0.3, -0.2]))
+    graze = jf.find_bifurcation(system, "d", orbit, "grazing")
+    curve = jf.continue_bifurcation(system, ("a", "d"), graze, stop=a + np.pi, max_step=0.1)
+    assert curve.points == [] and curve.ended[1].endswith("was reached")
+    assert_allclose(curve.values[[0, -1], 1], max(tops), rtol=0, atol=1e-11)
 
 
 class Turned(TangencyCurve):

@@ -129,7 +129,8 @@ def an_orbit() -> jf.Orbit:
 
 def a_bifurcation() -> jf.Bifurcation:
     """A bifurcation of it."""
-    tangency = Tangency(X0, ZERO, ZERO, ZERO, jnp.ones(1), jnp.array(0), ZERO, jnp.array(False))
+    phases, mode, surface = [ZERO] * 4, jnp.ones(1), jnp.array(0)
+    tangency = Tangency(X0[None], *phases, mode, surface, ZERO, jnp.array(False))
     return jf.Bifurcation(
         value=jnp.array(0.7),
         orbit=an_orbit(),
