@@ -5,7 +5,7 @@ A special point is a zero of a test function, or a change of a property.
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import scipy  # its submodules are imported on first use
@@ -14,8 +14,11 @@ from jaxfil.orbits.curve import SHARP, Curve, CurvePoint, constraint_across
 
 # Special points are located to this distance, in scaled unknowns.
 _LOCATED = 1e-12
-# Where branches cross, the equations are singular at the point itself, but not at this distance.
-_ASIDE = 1e-10
+# Where branches cross, the equations are singular at the point itself, to rounding also near it.
+# These distances to either side are tried in turn. Four points around it determine a cubic, by
+# these weights at as many distances.
+_ASIDE = (1e-10, 1e-4, 1e-3)
+_WEIGHTS = {1: 2 / 3, -1: 2 / 3, 2: -1 / 6, -2: -1 / 6}
 # A test function below this is zero, a determinant of numbers of order one, known to rounding.
 _ZERO = 1e-13
 # A test function at its zero is below this fraction of its values at the neighbours.
@@ -41,11 +44,11 @@ def zero_on_curve(
     part, last = _zero(curve, a, b, test)
     if part is None:
         return last
-    point = _at_part(curve, a, b, part)
+    place = _place_at(curve, a, b, part)
+    if place is None:
+        return last
     # Moduli of pairs jump where a pair turns real.
-    if point is not None and _is_jump(a, b, point, test):
-        return None
-    return point or last
+    return None if _is_jump(a, b, place, test) else place.point
 
 
 def count_on_curve(
@@ -73,14 +76,16 @@ def jumps_on_curve(
     not on the same curve. If the curve is lost, as where two branches cross, this is unknown, and
     the answer is no."""
     part, _ = _zero(curve, a, b, test)
-    point = None if part is None else _at_part(curve, a, b, part)
-    return point is not None and _is_jump(a, b, point, test)
+    place = None if part is None else _place_at(curve, a, b, part)
+    return place is not None and _is_jump(a, b, place, test)
 
 
-def _is_jump(a: _Point, b: _Point, point: _Point, test: Callable[[_Point], float]) -> bool:
-    """Whether a change of sign of a test function between a and b, located at a point, is no
+def _is_jump(
+    a: _Point, b: _Point, place: "_Place[_Point]", test: Callable[[_Point], float]
+) -> bool:
+    """Whether a change of sign of a test function between a and b, located at a place, is no
     zero."""
-    return abs(test(point)) > _CROSSED * min(abs(test(a)), abs(test(b)))
+    return abs(place.value(test)) > _CROSSED * min(abs(test(a)), abs(test(b)))
 
 
 def _zero(
@@ -89,18 +94,18 @@ def _zero(
     """The fraction of the distance between two points at which a test function changes its sign, by
     Alefeld, Potra and Shi's algorithm 748, or None if the curve is lost, and the last point on
     it."""
-    last, aside = None, _ASIDE / _distance(a, b)
+    last = None
 
     def value(part: float) -> float:
         nonlocal last
         # The ends are known.
         if part in (0.0, 1.0):
             return test(b if part else a)
-        point = _at_part(curve, a, b, part) or _at_part(curve, a, b, part + aside)
-        found = np.nan if point is None else test(point)
-        if not np.isfinite(found):
+        place = _place_at(curve, a, b, part)
+        found = np.nan if place is None else place.value(test)
+        if place is None or not np.isfinite(found):
             raise _Lost
-        last = point
+        last = place.point
         return found if abs(found) > _ZERO else 0.0
 
     try:
@@ -165,6 +170,47 @@ def away_from_corner(curve: Curve[_Point], a: _Point, b: _Point) -> _Point:
 
 def _distance(a: CurvePoint, b: CurvePoint) -> float:
     return float(np.max(abs(b.u - a.u) / a.scale))
+
+
+@dataclasses.dataclass(frozen=True)
+class _Place(Generic[_Point]):
+    """A place on a curve: one point there, or several around it, with their weights."""
+
+    points: list[_Point]
+    weights: list[float]
+
+    def value(self, test: Callable[[_Point], float]) -> float:
+        """A function of points there."""
+        each = zip(self.weights, self.points, strict=True)
+        return sum(weight * test(point) for weight, point in each)
+
+    @property
+    def point(self) -> _Point:
+        """The unknowns there, with the other data of a point next to them."""
+        if len(self.points) == 1:
+            return self.points[0]
+        u = np.tensordot(self.weights, [point.u for point in self.points], axes=1)
+        return dataclasses.replace(self.points[0], u=u)
+
+
+def _place_at(curve: Curve[_Point], a: _Point, b: _Point, part: float) -> _Place[_Point] | None:
+    """The place at this fraction of the distance between two points, or a point next to it; None
+    where the curve is lost."""
+    point = _at_part(curve, a, b, part)
+    if point is not None:
+        return _Place([point], [1.0])
+    single = None
+    for aside in _ASIDE:
+        points, away = list[_Point](), aside / _distance(a, b)
+        for way in _WEIGHTS:
+            point = _at_part(curve, a, b, part + way * away)
+            if point is None:
+                break
+            points.append(point)
+            single = single or _Place([point], [1.0])
+        if len(points) == len(_WEIGHTS):
+            return _Place(points, [*_WEIGHTS.values()])
+    return single
 
 
 def _at_part(curve: Curve[_Point], a: _Point, b: _Point, part: float) -> _Point | None:

@@ -600,3 +600,37 @@ def test_a_branch_goes_on_where_one_of_its_equations_vanishes(c, d):
 
         u = k * quad(grown, 0, period)[0] / (1 - np.exp(-k * r * period))
         assert_allclose(y**-k, u, rtol=1e-5)
+
+
+class Neurons(jf.System):
+    """x' = 1.3 − x for two neurons, each of which returns from 1 to 0 and adds `kick` to the other
+    one."""
+
+    kick: jax.Array
+    slides = False
+
+    def vector_field(self, t, x, side):
+        return 1.3 - x
+
+    def switching(self, t, x):
+        return 1 - x
+
+    def reset(self, t, x, surface):
+        fires = jnp.stack([surface == 0, surface == 1])
+        return jnp.where(fires, 0.0, x + self.kick)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kick, stop", [(0.05, -0.05), (-0.04, 0.06)])
+def test_branches_cross_where_all_phases_are_orbits(kick, stop):
+    """In turn they fire after τ each, e^(−τ) = E with 1.3 E² − kick E = 0.3. Without a kick every
+    difference of their phases is an orbit, and the second multiplier passes through 1."""
+    E = (kick + np.sqrt(kick**2 + 1.56)) / 2.6
+    x = 1.3 + (np.array([0.0, 1.3 * (1 - E) + kick]) - 1.3) * E**0.3
+    orbit = jf.periodic_orbit(
+        Neurons(jnp.float64(kick)), jnp.asarray(x), period=-2 * np.log(E), steps=24
+    )
+    branch = jf.continue_orbit(orbit.system, "kick", orbit, stop=stop, max_step=0.2)
+    (point,) = branch.points
+    assert point.kind == "branch-point" and branch.values[-1] == stop
+    assert_allclose(point.value, 0, rtol=0, atol=1e-11)
