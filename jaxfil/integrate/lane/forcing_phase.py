@@ -25,13 +25,16 @@ from jaxfil.model import check
 from jaxfil.model.system import System, field_of
 from jaxfil.xla.select import select
 
-# Times of the test, in periods; forces of other periods are not zero at both. They are compared
-# with one period later, and as many as `_LATER` others, spread over a period, with periods spread
-# over the run, since a force may set in late.
-_PHASES, _LATER = (0.29, 0.83), 30
+# Times of the test, in periods, at which each state is compared with one period later; forces of
+# other periods are not zero at both.
+_PHASES = 0.29, 0.83
 # Distances of the other states of the test, in 1 + |x|, one for each component in turn, and their
 # multiples. A force may act only beyond a gap.
 _APART, _FARTHER = (0.618, -0.382, 0.854, -0.146, 0.472), (1.0, -1.0, 10.0, -10.0, 100.0, -100.0)
+# Number of times at which each of these states is compared with other periods of the run, since a
+# force may set in late. The times of all states together are spread over a period and over the run.
+# All states at all times would cost more than a hundred periods of a sweep.
+_LATER = 5
 # Tolerance of the test, in eps for each period. The sum t + T is rounded, and cosines of multiples
 # of the frequency magnify that rounding.
 _SAME = 1024
@@ -96,16 +99,23 @@ class _Values:
         apart = jnp.asarray(np.resize(_APART, x.shape), x.dtype) * (1 + abs(x))
         turned, ones = np.resize((1.0, -1.0), m), np.ones(m)
         self.states = jnp.stack([x, *(x + times * apart for times in _FARTHER)])
-        self.sides = jnp.asarray(np.stack([ones, -ones, turned, -turned]), x.dtype)
-        phases = (*_PHASES, *np.linspace(0.01, 0.99, _LATER))
+        sides = np.stack([ones, -ones, turned, -turned])
+        # The turned sides of a single surface are its sides again.
+        self.sides = jnp.asarray(sides if ones.size > 1 else sides[:2], x.dtype)
+        states = len(self.states)
+        times = np.arange(_LATER * states).reshape(_LATER, states).T
+        later = np.linspace(0.01, 0.99, times.size)[times]
+        phases = np.hstack([np.tile(_PHASES, (states, 1)), later])
         self.phases = jnp.asarray(phases, x.dtype)
-        parts = np.linspace(0, 1, _LATER + 1)[1:]
-        # In another order than the phases.
-        parts = jnp.asarray(np.append([0.0, 0.0], parts[np.arange(_LATER) * 7 % _LATER]), x.dtype)
-        self.ahead = jnp.maximum(jnp.round(parts * (jnp.asarray(count, x.dtype) - 1)), 1)
+        # In another order than the phases: the factor has no divisor in common with the number of
+        # times.
+        parts = (1 + times * 12 % times.size) / times.size
+        parts = np.hstack([np.zeros((states, len(_PHASES))), parts])
+        ahead = jnp.asarray(parts, x.dtype) * (jnp.asarray(count, x.dtype) - 1)
+        self.ahead = jnp.maximum(jnp.round(ahead), 1)
 
     def __call__(self, system: System, period: Array) -> tuple[Array, Array]:
-        """The values at both times, shape (7 states, 4 sides, times, numbers)."""
+        """The values at both times, shape (7 states, 2 or 4 sides, 7 times, numbers)."""
 
         def values(x: Array, side: Array, t: Array) -> Array:
             # A coefficient of friction has no effect without a reaction.
@@ -116,17 +126,18 @@ class _Values:
             return jnp.concatenate([jnp.ravel(v) for v in own])
 
         several, at = values, self.phases * period
-        for place in ((None, None, 0), (None, 0, None), (0, None, None)):
+        for place in ((None, None, 0), (None, 0, None), (0, None, 0)):
             several = jax.vmap(several, in_axes=place)
         now = several(self.states, self.sides, at)
         return now, several(self.states, self.sides, at + self.ahead * period)
 
 
 def _are_same(now: Array, later: Array, ahead: Array, size: Array) -> Array:
-    """Whether arrays of shape (states, sides, times, …) are the same to rounding."""
+    """Whether arrays of shape (states, sides, times, …) are the same to rounding, some numbers of
+    periods `ahead`, shape (states, times)."""
     # The size is the largest over sides and times, since a number may vanish at one of them.
     size = jnp.max(size, axis=(1, 2), keepdims=True)
-    ahead = ahead.reshape(-1, *(1,) * (now.ndim - 3))
+    ahead = ahead.reshape(len(ahead), 1, -1, *(1,) * (now.ndim - 3))
     same = abs(now - later) <= _SAME * jnp.finfo(now.dtype).eps * ahead * size
     # A field need not be defined away from its state.
     return jnp.all(same | (now == later) | (jnp.isnan(now) & jnp.isnan(later)))
