@@ -24,7 +24,7 @@ class Section(eqx.Module):
     A crossing is a change of sign of S along the motion, beyond rounding. A start on the section, a
     touch, and an impact that reflects the motion are not crossings. A crossing at t1 belongs to the
     run. If S jumps across zero, by an impact or a change of the field, this is a crossing at that
-    time.
+    time; each reset of an avalanche may be one.
 
     **Arguments**
 

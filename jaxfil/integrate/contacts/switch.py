@@ -26,7 +26,8 @@ from jaxfil.integrate.contacts.guards import (
     surface_noise,
     unguarded,
 )
-from jaxfil.integrate.contacts.resets import Impact, Reset
+from jaxfil.integrate.contacts.maps import Maps, mapped, ticked
+from jaxfil.integrate.contacts.resets import Impact
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import FreeStep, LoopState, Motion, StepEnd
 from jaxfil.integrate.lane.step_length import Length, typical_step
@@ -50,53 +51,6 @@ from jaxfil.xla.select import select, select_all
 # Backward in time the state at the end of a slide has the errors of both directions, hence this
 # multiple of rounding.
 _BACKWARD = 1024.0
-
-
-class Maps(eqx.Module):
-    """The maps applied to the state at this switch: a tick of a clock, a reset."""
-
-    x: Components
-    """The state after the maps, n components."""
-    h: Components | None
-    """H before the maps, m components; None for systems without maps."""
-    moved: Array
-    """Whether the state has changed."""
-    ticked: Array | None
-    """Whether a tick has changed it; None if ticks have no map."""
-    reset: Reset | None
-    """The reset; None without resets."""
-
-
-def _mapped(problem: Problem, state: LoopState, t: Array, x: Components) -> Maps:
-    """The state after the map that is due, of a tick or of one surface."""
-    system, number, before = problem.system, problem.ticked, x
-    h = ticked = None
-    if system.ticks and number is not None:
-        x = _ticked(system, number, t, x)
-        ticked, h = any_of(x != before), system.switching(t, before)
-    if not system.resets:
-        return Maps(x, h, jnp.zeros((), bool) if ticked is None else ticked, ticked, None)
-    reset = resets.make_reset(system, state, t, x)
-    if h is None or number is None or ticked is None:
-        return Maps(reset.x, reset.h, reset.moved, None, reset)
-    # The tick comes before the reset, so H before both is H before the tick.
-    h = where(number >= 0, h, reset.h)
-    return Maps(reset.x, h, reset.moved | ticked, ticked, reset)
-
-
-def _ticked(system: ComponentSystem, number: Array, t: Array, x: Components) -> Components:
-    """The state after the tick of a clock; −1 for none."""
-    due = number >= 0
-
-    # A closure, since a bound method of a module would be hashed, with its arrays.
-    def moved(t: Array, x: Components, number: Array) -> Components:
-        return system.tick(t, x, number)
-
-    return where(due, system.where_any(due, moved, _unmoved, t, x, number), x)
-
-
-def _unmoved(t: Array, x: Components, number: Array) -> Components:
-    return x
 
 
 def _surfaces_at(
@@ -161,7 +115,7 @@ def evaluate_step_end(
     t = problem.grid.t0 + length.end
     if system.m == 0:
         return _smooth_end(problem, state, length.end, t, x, forcing)
-    maps = _mapped(problem, state, t, x)
+    maps = mapped(problem, state, t, x)
     # The order matters. Maps come first, since all later values must belong to the state that
     # continues. Then the state is projected onto its surfaces, resets are followed up, fields and
     # rates are evaluated there, and the mode is decided from them.
@@ -175,7 +129,7 @@ def evaluate_step_end(
     if system.slides or are_coupled(system):
         at = _with_rounding_of_forces(problem, state, length, at, fields)
     choice = decided(problem, state, (t, x), (fields, rates), at, led, later)
-    choice, again = _in_turn(problem, state, maps, choice, later)
+    choice, again, redone = _in_turn(problem, state, maps, choice, later)
     if system.clocks or are_coupled(system):
         # A tick, or a contact or reset of another surface, may put the state where it then slides
         # or rests, also where it did so before; and H may jump there at a tick.
@@ -193,6 +147,8 @@ def evaluate_step_end(
         x = held_from_here(system, t, x, choice.mode, put)
         fields, rates = fields_from_here(system, t, x, (fields, rates))
     motion = _motion(problem, length.end, x, at, (fields, rates), choice, forcing)
+    if redone is not None:
+        motion = _without_undefined(state.motion, motion, redone)
     if free is not None:
         stays, found = ~state.pending.waits & ~state.held, (free.f, free.g, free.rate)
         found = select_all(stays, found, (motion.f, motion.g, motion.rate))
@@ -223,13 +179,13 @@ def evaluate_step_end(
 
 def _in_turn(
     problem: Problem, state: LoopState, maps: Maps, choice: Decision, later: Components | None
-) -> tuple[Decision, Array | None]:
-    """The part of the decision that belongs to this switch, and whether another switch must follow
-    at the same time. Changes that a contact or a map causes on other surfaces, such as the end of a
-    slide, are events of their own."""
+) -> tuple[Decision, Array | None, Array | None]:
+    """The part of the decision that belongs to this switch, whether another switch must follow at
+    the same time, and whether the next switch decides all surfaces again. Changes that a contact or
+    a map causes on other surfaces, such as the end of a slide, are events of their own."""
     system, mode = problem.system, state.motion.mode
     if system.m == 1 and maps.ticked is None:
-        return choice, None
+        return choice, None, None
     hit = state.pending.surfaces if later is None else state.pending.surfaces & ~later
     if maps.reset is not None:
         hit = where(maps.reset.moved, maps.reset.acted, hit)
@@ -239,9 +195,23 @@ def _in_turn(
     if later is not None:
         # A surface that waits for its reset takes its side at once.
         others, again = others & ~later, again & ~any_of(later)
-    kept = where(others & cause, mode, choice.mode)
-    # If the next switch decides again, a decision without any mode is not a failure yet.
-    return Decision(kept, select(again, jnp.maximum(choice.count, 1), choice.count)), again
+    redone = again
+    if later is not None:
+        redone = redone | (any_of(later) & (maps.moved | state.pending.jumped))
+    kept = where(others & (cause | redone), mode, choice.mode)
+    # If the next switch decides again, a decision without any mode, or with several, is not a
+    # failure yet: some surfaces still have sides that the state is not on.
+    count = select(redone, 1, choice.count)
+    return Decision(kept, count), again, redone
+
+
+def _without_undefined(before: Motion, motion: Motion, redone: Array) -> Motion:
+    """A motion between two maps, with the last numbers that are defined. The field of a side that
+    the state has been carried away from, such as the root of a level, need not be defined here."""
+    undefined = redone & ~all_finite(motion.f, motion.g, motion.rate)
+    known = dataclasses.replace(before, tau=motion.tau, x=motion.x, scale=motion.scale)
+    known = dataclasses.replace(known, mode=motion.mode)
+    return select_all(undefined, known, motion)
 
 
 def _members(state: LoopState, maps: Maps, motion: Motion, later: Components | None) -> Components:
@@ -348,7 +318,7 @@ def _smooth_end(
     """The end of a step in a system without surfaces, after a tick that waits."""
     system, number, moved = problem.system, problem.ticked, jnp.zeros((), bool)
     if system.ticks and number is not None:
-        x, before = _ticked(system, number, t, x), x
+        x, before = ticked(system, number, t, x), x
         moved = any_of(x != before)
     none, one = state.motion.mode, jnp.ones((), jnp.int32)
     f, scale = system.field(t, x, none, forcing=forcing), larger(state.motion.scale, x)

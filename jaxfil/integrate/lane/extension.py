@@ -47,6 +47,13 @@ class Step(eqx.Module):
     """The motion that the step is a part of, if it is a polynomial."""
 
     @property
+    def between(self) -> Array | None:
+        """Whether the step was a switch that another one follows at the same time (see
+        `StepEnd.between`); None if there cannot be any."""
+        between = self.end.between
+        return None if between is None else self.switched & between
+
+    @property
     def advances(self) -> Array:
         """Whether time advances with the step, which is accepted or lands on a contact."""
         # An accepted step may have length zero, from a tick to a state saved at its time.

@@ -185,8 +185,10 @@ class SaveSteps(Recorder):
     def record(self, problem: Problem, state: LoopState, after: LoopState, step: Step) -> LoopState:
         motion = step.end.motion
         end = problem.grid.t0 + motion.tau, motion.x, motion.mode
-        # A landing is not `moved`. The switch that follows saves the state after the contact.
-        return _entered(state, after, problem.system, end, step.moved)
+        # A landing is not `moved`. The switch that follows saves the state after the contact. Of
+        # several switches at one time the last does, since a state between two maps has no mode.
+        last = step.moved if step.between is None else step.moved & ~step.between
+        return _entered(state, after, problem.system, end, last)
 
     def at_section(self, problem: Problem, state: LoopState) -> LoopState:
         saves, number, end = state.saves, state.counts.num_saved, state.motion

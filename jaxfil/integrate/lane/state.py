@@ -238,6 +238,17 @@ class StepEnd(eqx.Module):
     turn: Any
     """The turn after the switch; None if contacts cannot accumulate by turns."""
 
+    @property
+    def between(self) -> Array | None:
+        """Whether another switch follows at the same time; None if none can. The state is then one
+        between two maps, and its mode is not decided yet."""
+        if self.next is None:
+            return self.again
+        follows = any_of(self.next)
+        if self.jump is not None:  # time passes before the next switch
+            follows = follows & ~(self.jump > 0)
+        return follows if self.again is None else follows | self.again
+
 
 def tables_of(state: LoopState) -> list[Any]:
     """All tables of a lane, for events, saved states and crossings."""

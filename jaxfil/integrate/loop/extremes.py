@@ -154,6 +154,10 @@ class Extremes(Extension):
         # Across a switch values may jump, and a cubic through both ends would be meaningless.
         smooth, path = ~step.switched, step.path
         found = self._further(problem, state, after, own, now, path, smooth)
+        if step.between is not None:
+            # A state between two maps is no limit of the motion from either side, and its mode is
+            # not decided yet.
+            found = select_all(step.between, own, found)
         if (sections := sections_in(after)) is None:
             return after, found
         # A crossing is found by a step that ends on it and is taken back, which the run repeats if

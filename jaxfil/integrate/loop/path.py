@@ -132,6 +132,8 @@ def _cut_at_contact(
     # A cut shorter than the rounding of times is omitted; the search of every step handles it.
     h = s * length.h
     cuts = (s < 1) & (abs(h) > problem.same_time(state.motion.tau))
+    # The motion may turn back within the step, beyond the surface that it has passed at its start.
+    omitted = (s < 1) & ~cuts
     s, h = system.hold((select(cuts, s, 1.0), select(cuts, h, length.h)))
     # At a minimum there is no contact to aim at.
     aimed = cuts & (contact <= lowest) & met_together(thetas, contact)
@@ -151,7 +153,7 @@ def _cut_at_contact(
         ticking=None if length.ticking is None else length.ticking & ~cuts,
     )
     # These guards have no zero before the end, in the whole step or since it is cut at the first.
-    return s, shorter, search, clear | near
+    return s, shorter, search, clear | (near & ~omitted)
 
 
 def _beyond_kink(

@@ -18,6 +18,10 @@ Values of S within rounding are ignored: a section counts as crossed when S has 
 rounding on both sides. A section that is zero where a piece of the motion begins, as at a contact
 with a surface that it coincides with, is crossed there if S continues to the other side, and only
 there. A crossing at t1 belongs to the run, as a contact does, and not to one that starts there.
+
+Of several maps at one time, as in an avalanche of resets, each may carry S across zero, and each of
+these crossings is recorded before the next map is applied. A section that depends on the mode jumps
+once, from the mode before all maps to the one after them.
 """
 
 import dataclasses
@@ -48,6 +52,7 @@ from jaxfil.integrate.loop.section_state import (
     empty_crossings,
     unwatched,
 )
+from jaxfil.integrate.loop.section_updates import after_crossing, after_minimum, after_step, in_half
 from jaxfil.integrate.surfaces.sections import Sight, WatchedSections, beyond_newton, see
 from jaxfil.integrate.system.components import (
     Components,
@@ -58,7 +63,6 @@ from jaxfil.integrate.system.components import (
     least,
     on_each,
     pack,
-    sign,
     total,
     where,
 )
@@ -98,14 +102,22 @@ class SectionSearch(Extension):
 
     def at_end(self, problem: Problem, state: LoopState, own: SectionState, step: Step) -> Verdict:
         passes, delta = step.lands | step.accepted, select(step.lands, step.delta, 0.0)
+        end, between = step.end.motion, step.end.between
+        if between is not None:
+            # Crossings by the last map are recorded where that map has led.
+            owes = state.pending.waits & any_of(own.watch.owed)
+            passes, end = passes | owes, select_all(owes, state.motion, end)
         last = step.gridded & (state.counts.index + 1 >= problem.grid.num_steps)
         ahead = select(last, typical_step(problem, state), 0.0)
         would = step.length.h + delta, delta, passes, ahead * problem.grid.direction
-        seen = _look(self.watched, problem, state, own.watch, step.end.motion, would, step.path)
+        seen = _look(self.watched, problem, state, own.watch, end, would, step.path)
         seen = dataclasses.replace(seen, seeks=seen.seeks & is_running(problem.grid, state))
         # A trial step that is rejected or refused is not a part of the motion.
         judged = own.watch.seeking | step.moved | step.lands
-        failure = RESULTS.nonfinite, judged & ~all_finite(seen.sight.value)
+        infinite = ~on_each(jnp.isfinite, seen.sight.value)
+        if between is not None:
+            infinite = infinite & ~(between & Components(self.watched.need_mode))
+        failure = RESULTS.nonfinite, judged & any_of(infinite)
         return Verdict(seen.seeks, (failure,), seen)
 
     def after_step(
@@ -131,7 +143,7 @@ def _begin(
     at = problem.grid.t0 + motion.tau, motion.x
     dt = typical_step(problem, state)
     sight = see(watched, problem.system, at, (motion.mode, motion.f), motion.scale, dt)
-    watch = _moved_on(watched, problem, watch, sight, false)
+    watch = after_step(watched, problem, watch, sight, false, None)
     result, (_, noises) = state.result, resolved(problem, sight)
     for bound, value, noise in zip(watched.bounds, sight.value.parts, noises.parts, strict=True):
         outside = bound & (value < -noise) & (result == RESULTS.successful)
@@ -168,7 +180,7 @@ def _look(
     found, begun = _begun(watched, problem, watch, sight, (here, ahead))
     if path is not None:
         doubt = is_unresolved(watched, problem, (state.motion, end), (watch, sight), here, path)
-        found, begun = found | doubt, select_all(doubt, _halved(begun, watch.start), begun)
+        found, begun = found | doubt, select_all(doubt, in_half(begun, watch.start), begun)
     # A search for a known crossing is completed first; the look at a minimum may make one known.
     begins = found & (looks | (passes & ~watch.seeking))
     closer, delta, done = _approach(problem, state, watch, sight, end.tau)
@@ -177,12 +189,13 @@ def _look(
     delta, x = add_second_derivative(beyond_newton, linear, *given, at, end.mode, located)
     tau, tau_low = later(state.motion.tau, state.tau_low, watch.length + delta)
     counts = True if watched.since is None else problem.grid.t0 + tau >= watched.since
-    recorded, behind = _crossed(watched, problem, closer, sight, (done, counts))
+    recorded, behind = after_crossing(watched, problem, closer, sight, (done, counts))
     sought = select_all(done, behind, closer)
-    sought = select_all(looks, _gone_on(problem, watch, sight), sought)
+    sought = select_all(looks, after_minimum(problem, watch, sight), sought)
     finite = all_finite(end.x, sight.value, sight.rate)
     return Seen(
         sight=sight,
+        mode=end.mode,
         seeks=(begins | watch.seeking) & finite,
         watch=select_all(begins, begun, sought),
         recorded=recorded & finite,
@@ -214,24 +227,6 @@ def _begun(
         tries=jnp.zeros_like(watch.tries),
     )
     return found, begun
-
-
-def _halved(begun: Watch, start: Array) -> Watch:
-    """The watch of a lane that looks at half of a part whose cubic cannot be trusted."""
-    half, aimless = 0.5 * (start + begun.high), where(begun.aim, False, begun.aim)
-    return dataclasses.replace(begun, length=half, aim=aimless)
-
-
-def _gone_on(problem: Problem, watch: Watch, sight: Sight) -> Watch:
-    """The watch of a lane that has examined a minimum of |S|, continued from there."""
-    return dataclasses.replace(
-        watch,
-        value=sight.value,
-        rate=sight.rate,
-        away=resolved(problem, sight)[0],
-        start=watch.length,
-        seeking=jnp.zeros_like(watch.seeking),
-    )
 
 
 def _find(
@@ -310,58 +305,6 @@ def _approach(
     return closer, select(timed, delta, 0.0), done & watch.seeking & any_of(watch.aim)
 
 
-def _crossed(
-    watched: WatchedSections,
-    problem: Problem,
-    watch: Watch,
-    sight: Sight,
-    which: tuple[Array, Array | bool],
-) -> tuple[Array, Watch]:
-    """Whether a crossing counts, and the watch after it. `which` has whether the crossing has been
-    located, and whether crossings at this time count."""
-    (done, counts), (away, _) = which, resolved(problem, sight)
-    wanted = is_wanted(watched, problem, watch.side)
-    counted = watch.aim & wanted & done & counts
-    recorded = any_of(counted)
-    # A section whose S has jumped is on its other side at once.
-    settled = watch.aim & ~watch.owed
-    # A crossed section starts at exactly zero, like the guard of a surface that was just left.
-    after = dataclasses.replace(
-        watch,
-        side=where(watch.aim, -watch.side, watch.side),
-        value=where(settled, 0.0, stop_gradient(sight.value)),
-        rate=sight.rate,
-        away=away & ~settled,
-        owed=watch.owed & ~watch.aim,
-        start=stop_gradient(watch.length),
-        seeking=jnp.zeros_like(watch.seeking),
-        counts=watch.counts + counted.astype(jnp.int32),
-        total=watch.total + recorded.astype(jnp.int32),
-    )
-    return recorded, after
-
-
-def _moved_on(
-    watched: WatchedSections, problem: Problem, watch: Watch, sight: Sight, jumped: Array
-) -> Watch:
-    """The watch of a lane after a step, with these values of the sections; `jumped` marks steps
-    with a reset or a change of mode."""
-    (away, _), value = resolved(problem, sight), stop_gradient(sight.value)
-    owed = jumped & away & (watch.side * value < 0) & is_wanted(watched, problem, watch.side)
-    side = where(away & ~owed, sign(value), watch.side)
-    return dataclasses.replace(
-        watch,
-        side=side,
-        value=value,
-        rate=sight.rate,
-        away=away,
-        owed=owed,
-        start=jnp.zeros_like(watch.start),
-        seeking=jnp.zeros_like(watch.seeking),
-        tries=jnp.zeros_like(watch.tries),
-    )
-
-
 def _follow(
     watched: WatchedSections,
     problem: Problem,
@@ -372,7 +315,7 @@ def _follow(
 ) -> tuple[LoopState, SectionState]:
     """The lane and its sections after a step."""
     sight, watch, end = seen.sight, own.watch, step.end.motion
-    there = _moved_on(watched, problem, watch, sight, step.switched)
+    there = after_step(watched, problem, watch, sight, step.switched, step.between)
     watch = select_all(step.moved | step.lands, there, watch)
     watch = select_all(seen.seeks, seen.watch, watch)
     recorded, table = seen.recorded & seen.seeks, own.table
@@ -381,7 +324,7 @@ def _follow(
         size, i = table.ts.shape[0], own.watch.total
         i = i if watched.unseen is None else i - watched.unseen
         t, x = problem.grid.t0 + seen.tau, pack(seen.x, problem.system.dtype)
-        entry = CrossingTable(ts=t, xs=x, sections=seen.number, modes=mode_codes(end.mode))
+        entry = CrossingTable(ts=t, xs=x, sections=seen.number, modes=mode_codes(seen.mode))
         table = entered(table, jnp.clip(i, 0, size - 1), recorded & (i >= 0) & (i < size), entry)
         result = RESULTS.where(recorded & (i >= size), RESULTS.max_events_reached, result)
     ends, motion = recorded & (result != RESULTS.successful), after.motion

@@ -71,6 +71,8 @@ class Seen(eqx.Module):
     """Low-order part of this time."""
     x: Components
     """State at the crossing."""
+    mode: Components
+    """Mode at the crossing."""
     result: RESULTS
     """The outcome of the run after the crossing."""
 

@@ -46,6 +46,12 @@ class WatchedSections(eqx.Module):
     asking: ComponentSystem | None = None
     """A field whose last components are the functions that take more; None without any."""
 
+    @property
+    def need_mode(self) -> tuple[bool, ...]:
+        """Whether S depends on the mode of the motion, for each section."""
+        each = zip(self.functions, self.of_rate, strict=True)
+        return tuple(plain is None or of_rate for plain, of_rate in each)
+
     def value(self, j: int, system: ComponentSystem, mode: Components) -> Callable:
         """S number j, a function of time and state, on a motion of the given mode."""
         plain = self.functions[j]

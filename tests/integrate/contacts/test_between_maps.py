@@ -1,0 +1,289 @@
+"""Several switches at one time: the state between two of them has no mode, and nothing sees one."""
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import jaxfil as jf
+
+LIMIT = 1.0
+
+
+class Pushed(jf.System):
+    """A block with dry friction, at rest, under a force that is sampled eight times a second and
+    held: x'' = u − sgn x'."""
+
+    amplitude: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], x[2] - LIMIT * side, 0 * x[2]])
+
+    def switching(self, t, x):
+        return x[1]
+
+    def tick(self, t, x, clock):
+        return x.at[2].set(self.amplitude * jnp.sin(2 * jnp.pi * t))
+
+    @property
+    def clocks(self):
+        return (jf.Clock(0.125),)
+
+    @property
+    def period(self):
+        return 1.0
+
+
+def friction(t, x, side):
+    return LIMIT * side
+
+
+def over(t, x, side):
+    return LIMIT * side - 1.03
+
+
+AMPLITUDES = jnp.array([0.8, 1.5, 2.5])
+
+
+@pytest.mark.slow
+def test_a_force_that_ends_a_stick_is_not_taken_for_the_friction():
+    """The extremes are those of the forces that held, 0.8 at most, or the limit of friction."""
+
+    def found(amplitude):
+        quantities = {"high": jf.Maximum(friction), "low": jf.Minimum(friction)}
+        run = dict(transient=0, samples=2, steps=20, compact=True)
+        return jf.settled_average(Pushed(amplitude), quantities, jnp.zeros(3), **run).averages
+
+    extremes = jax.jit(jax.vmap(found))(AMPLITUDES)
+    np.testing.assert_allclose(extremes["high"], [0.8, LIMIT, LIMIT], rtol=1e-12)
+    np.testing.assert_allclose(extremes["low"], [-0.8, -LIMIT, -LIMIT], rtol=1e-12)
+
+
+@pytest.mark.slow
+def test_no_section_and_no_saved_row_sees_a_force_beyond_the_limit_of_friction():
+    def run(amplitude):
+        sections = [jf.Section(over, direction=d) for d in (0, 1, -1)]
+        kept = dict(saveat=diffrax.SaveAt(steps=True), observe=friction, max_events=96)
+        sol = jf.solve(
+            Pushed(amplitude),
+            jnp.zeros(3),
+            0.0,
+            2.0,
+            0.05,
+            sections=sections,
+            compact=True,
+            throw=False,
+            **kept,
+        )
+        seen = jnp.where(jnp.isfinite(sol.ts), abs(sol.observed), 0.0)
+        return sol.result, jnp.max(seen), jnp.sum(sol.crossings.sections >= 0)
+
+    result, most, count = jax.jit(jax.vmap(run))(AMPLITUDES)
+    assert np.all(jf.RESULTS.names(result) == "successful")
+    np.testing.assert_allclose(most, [0.8, LIMIT, LIMIT], rtol=1e-12)
+    assert not count.any()
+
+
+class Tanks(jf.System):
+    """Two tanks, and a root of the difference of their levels between them; a dose is poured into
+    the lower one and reverses the flow."""
+
+    dose: jax.Array
+    slides = False
+
+    def vector_field(self, t, x, side):
+        d = x[0] - x[1]
+        flow = 0.4 * jnp.where(side > 0, jnp.sqrt(d), -jnp.sqrt(-d))
+        return jnp.stack([0.5 - flow, flow - 0.3 * x[1]])
+
+    def switching(self, t, x):
+        return x[0] - x[1]
+
+    def tick(self, t, x, clock):
+        return x.at[1].add(self.dose)
+
+    @property
+    def clocks(self):
+        return (jf.Clock(10.0, 1.0),)
+
+
+def test_a_tick_carries_a_state_to_where_the_field_it_comes_from_is_not_defined():
+    doses = np.array([0.3, 2.0, 2.4])
+
+    def run(dose):
+        return jf.solve(Tanks(dose), jnp.array([1.0, 0.2]), 0.0, 1.3, 0.05, throw=False)
+
+    def piece(x, t0, t1):
+        def field(t, x):
+            flow = 0.4 * np.sign(x[0] - x[1]) * np.sqrt(abs(x[0] - x[1]))
+            return [0.5 - flow, flow - 0.3 * x[1]]
+
+        return solve_ivp(field, (t0, t1), x, method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+
+    sols = jax.jit(jax.vmap(run))(jnp.asarray(doses))
+    assert np.all(jf.RESULTS.names(sols.result) == "successful")
+    before = piece([1.0, 0.2], 0.0, 1.0)
+    ends = [piece(before + np.array([0.0, dose]), 1.0, 1.3) for dose in doses]
+    np.testing.assert_allclose(sols.x_final, ends, rtol=1e-10)
+
+
+HALF = 0.4
+
+
+def square(t):
+    return jnp.where(jnp.mod(jnp.floor(t / HALF), 2.0) < 0.5, 1.0, -1.0)
+
+
+class Bridge(jf.System):
+    """A current i that a relay holds at `ref`. Source and modulator reverse at one tick, so that
+    their product stays; a reset of the source's surface counts half cycles."""
+
+    ref: jax.Array
+
+    def vector_field(self, t, x, side):
+        drive = -side[1] * x[1] * side[0] * 2.0
+        return jnp.stack([drive - 0.5 * x[0], 0 * x[1], 0 * x[2]])
+
+    def switching(self, t, x):
+        return jnp.stack([square(t) + 0 * x[0], x[0] - self.ref])
+
+    def reset(self, t, x, surface):
+        return jnp.where(surface == 0, x.at[2].add(1.0), x)
+
+    def tick(self, t, x, clock):
+        return x.at[1].multiply(-1.0)
+
+    @property
+    def clocks(self):
+        return (jf.Clock(HALF),)
+
+
+@pytest.mark.release
+def test_a_slide_goes_on_through_a_map_and_a_carry_that_cancel():
+    """Between the two the field repels from the surface on both sides. i = 4 (1 − e^(−t/2)) up to
+    ref."""
+    refs = np.array([1.0, 0.6])
+
+    def run(ref):
+        kept = dict(max_events=32, compact=True, throw=False)
+        return jf.solve(Bridge(ref), jnp.array([0.0, 1.0, 0.0]), 0.0, 1.9, 0.05, **kept)
+
+    sols = jax.jit(jax.vmap(run))(jnp.asarray(refs))
+    assert np.all(jf.RESULTS.names(sols.result) == "successful")
+    np.testing.assert_allclose(sols.x_final, [[ref, 1.0, 4.0] for ref in refs], rtol=1e-12)
+    assert not np.any(np.asarray(sols.events.kinds) == jf.EventKind.slip.value)
+
+
+class Contactor(jf.System):
+    """An armature held on its stop by a pull F − S. The rectifier follows a source that reverses
+    at each tick, so that the pull stays."""
+
+    pull: jax.Array
+    slides = False
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], 1.0 - self.pull * square(t) * side[0]])
+
+    def switching(self, t, x):
+        return jnp.stack([square(t) + 0 * x[0], x[0]])
+
+    def reset(self, t, x, surface):
+        return jnp.where(surface == 1, x.at[1].multiply(-0.3), x)
+
+    @property
+    def clocks(self):
+        return (jf.Clock(HALF),)
+
+    @property
+    def period(self):
+        return 2 * HALF
+
+
+def holding(t, x, reaction):
+    return reaction[1]
+
+
+@pytest.mark.release
+def test_a_rest_goes_on_through_a_jump_of_two_signs_that_cancel():
+    def found(pull):
+        flags = jf.EventSum(lambda t, before, after, surfaces: surfaces)
+        quantities = {"events": flags, "least": jf.Minimum(holding)}
+        run = dict(transient=0, samples=2, steps=20, compact=True)
+        return jf.settled_average(Contactor(pull), quantities, jnp.zeros(2), **run).averages
+
+    averages = jax.jit(jax.vmap(found))(jnp.array([2.0, 5.0]))
+    np.testing.assert_array_equal(averages["events"][:, 1], 0.0)
+    np.testing.assert_allclose(averages["least"], [1.0, 4.0], rtol=1e-12)
+
+
+KICK, SIZE = 0.2, 2
+
+
+class Neurons(jf.System):
+    """Two neurons, each of which fires at 1, is set to 0 and kicks the other."""
+
+    rates: jax.Array
+    slides = False
+
+    def vector_field(self, t, x, side):
+        return self.rates + 0 * x
+
+    def switching(self, t, x):
+        return 1.0 - x
+
+    def reset(self, t, x, surface):
+        return jnp.where(jnp.arange(SIZE, dtype=surface.dtype) == surface, 0.0, x + KICK)
+
+
+class Above(eqx.Module):
+    level: jax.Array
+
+    def __call__(self, t, x):
+        return x[0] - self.level
+
+
+def counted(x, rates, level, t1):
+    """The crossings of a level by the first neuron, up and down, through flights and spikes."""
+    x, t, counts = np.array(x), 0.0, np.zeros(2, int)
+
+    def passed(a, b):
+        counts[:] += a < level < b, a > level > b
+
+    while True:
+        waits = (1 - x) / rates
+        wait = min(waits.min(), t1 - t)
+        passed(x[0], x[0] + rates[0] * wait)
+        x, t = x + rates * wait, t + wait
+        if wait < waits.min():
+            return counts
+        due, fired = [int(waits.argmin())], []
+        while due:
+            after = np.where(np.arange(SIZE) == due[0], 0.0, x + KICK)
+            passed(x[0], after[0])
+            fired.append(due[0])
+            x = after
+            due = [i for i in range(SIZE) if x[i] > 1 and i not in fired]
+
+
+@pytest.mark.slow
+def test_each_spike_of_an_avalanche_crosses_the_levels_that_it_jumps_across():
+    """Of a spike that is kicked back at once both crossings of 0.1 count; a neuron that is kicked
+    beyond its threshold crosses 0.9 upward and downward."""
+    draw = np.random.default_rng(5)
+    starts, rates = draw.uniform(0.15, 0.85, (6, SIZE)), draw.uniform(0.8, 1.2, (6, SIZE))
+    levels = np.resize([0.1, 0.9], 12)
+    starts, rates = np.repeat(starts, 2, axis=0), np.repeat(rates, 2, axis=0)
+
+    def run(x, rates, level):
+        sections = [jf.Section(Above(level), direction=d) for d in (1, -1, 0)]
+        kept = dict(sections=sections, max_events=128, compact=True)
+        sol = jf.solve(Neurons(rates), x, 0.0, 6.05, 0.1, stepper=jf.RK4(), **kept)
+        return jnp.stack([jnp.sum(sol.crossings.sections == k) for k in range(3)])
+
+    found = jax.jit(jax.vmap(run))(*map(jnp.asarray, (starts, rates, levels)))
+    right = [counted(*lane, 6.05) for lane in zip(starts, rates, levels, strict=True)]
+    np.testing.assert_array_equal(found[:, :2], right)
+    np.testing.assert_array_equal(found[:, 2], np.sum(right, axis=-1))
