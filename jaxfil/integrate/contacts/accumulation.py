@@ -274,9 +274,9 @@ def _is_alike(problem: Problem, copy: Components, limit: Components, apart: Comp
 
 
 def _is_watched(problem: Problem) -> bool:
-    """Whether states between the steps are saved, or searched for crossings or extremes."""
-    followed = problem.recording.recorder.between_steps or problem.look is not None
-    return followed or any(e.between_steps for e in problem.extensions)
+    """Whether every contact is followed, to save its state or to search for crossings."""
+    followed = problem.recording.recorder.follows_contacts or problem.look is not None
+    return followed or any(e.follows_contacts for e in problem.extensions)
 
 
 def _surfaces_there(

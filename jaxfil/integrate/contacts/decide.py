@@ -98,10 +98,10 @@ def decided(
         known, walls = stop_gradient((system, *here)), unilateral.sides_of(state.motion.mode)
         forces = reactions.forces_of(*known, walls, c, by_time, normals, fields)
         before, _, _ = reactions.held(forces, rates, unilateral.rests_of(state.motion.mode))
-    left, opened = _known(problem, state, before, at, led, later)
+    after, opened = _known(problem, state, before, at, led, later)
     on = opened | (grazes & state.pending.surfaces)
     if system.slides:
-        on = on | (left == 0 if later is None else (left == 0) & ~later)
+        on = on | (after == 0 if later is None else (after == 0) & ~later)
     decide = waits & ~state.pending.grazes & any_of(opened)
     # Where a slide on an intersection ends, both the slide and the next mode would be admissible
     # within rounding.
@@ -113,15 +113,15 @@ def decided(
             walls, kept = decide & led.still & opened, kept & ~led.pushed
         second = None
         if forces is None or system.slides:
-            second = _seconds(system, here, soon, rates, decide, left, on)
+            second = _seconds(system, here, soon, rates, decide, after, on)
         if forces is not None and second is not None:
             assert walls is not None
-            forces, second = forces.with_slides(second, walls | unilateral.rests_of(left)), None
+            forces, second = forces.with_slides(second, walls | unilateral.rests_of(after)), None
         question = Question(
             rates=rates,
             fields=fields,
             following=second,
-            mode=left,
+            mode=after,
             on=on,
             walls=walls,
             kept=kept,
@@ -136,7 +136,7 @@ def decided(
         )
         chosen, count = _asked(system, question)
     else:
-        beside = unilateral.beside(left) if system.resets else left
+        beside = unilateral.beside(after) if system.resets else after
         second = None
         # Elsewhere all contacts are located, at a rate that does not vanish.
         if at.unsettled is not None:
@@ -148,9 +148,9 @@ def decided(
         chosen, count = filippov.choose(None, rates, *given)
     count = select(decide, count, jnp.maximum(count, 1))
     if led is None:
-        return _once(system, where(decide, chosen, left), count)
-    decide = decide if led.constraints is not None else decide & ~unilateral.rests_of(left)
-    return _once(system, where(decide, chosen, left), select(led.consistent, count, 0))
+        return _once(system, where(decide, chosen, after), count)
+    decide = decide if led.constraints is not None else decide & ~unilateral.rests_of(after)
+    return _once(system, where(decide, chosen, after), select(led.consistent, count, 0))
 
 
 def _known(
@@ -175,32 +175,32 @@ def _known(
     leaving = hit & (mode == 0) & ~at.off
     if state.turn is not None:
         leaving = leaving & ~state.turn.completed
-    left = where(leaving & switching, _ended_at(problem, state, rates), mode)
+    after = where(leaving & switching, _ended_at(problem, state, rates), mode)
     settles = at.off & switching
     if later is not None:  # surfaces that the state was carried across are switched first
         settles = settles & ~later
-    left = where(settles, where(at.h > 0, one, -one), left)
+    after = where(settles, where(at.h > 0, one, -one), after)
     on = (hit & ~leaving) | is_close(problem, state, at.h)
     if at.unsettled is not None:
         # The guard of a side has the rounding of the steps before.
         before = where(abs(mode) == 1, state.motion.noise, 0.0)
         here = at.unsettled & (abs(at.h) <= maximum(at.gathered, before))
-        on = on | ((here | (left == 0)) & ~leaving)
+        on = on | ((here | (after == 0)) & ~leaving)
     on = switching & on & ~at.off
     if later is not None:
         on = on & ~later
     if led is None:
-        return left, on
-    beside, on = unilateral.sides_of(left), on & ~led.walls
+        return after, on
+    beside, on = unilateral.sides_of(after), on & ~led.walls
     # At a surface where a rest ends, or that needs a reset, the motion takes its side.
-    ends = hit & unilateral.rests_of(left) & ~resets.at_limit(state)
+    ends = hit & unilateral.rests_of(after) & ~resets.at_limit(state)
     ends = ends if later is None else ends | later
-    left = where((ends | led.pushed) & switching & ~settles, beside, left)
+    after = where((ends | led.pushed) & switching & ~settles, beside, after)
     if led.constraints is not None:
-        left = where(led.still, beside, left)
-        return left, (on & ~ends & ~unilateral.rests_of(left)) | (switching & led.still)
-    left = where(led.still, where(led.rests, 2 * beside, beside), left)
-    return left, on & ~ends & ~led.still & ~unilateral.rests_of(left)
+        after = where(led.still, beside, after)
+        return after, (on & ~ends & ~unilateral.rests_of(after)) | (switching & led.still)
+    after = where(led.still, where(led.rests, 2 * beside, beside), after)
+    return after, on & ~ends & ~led.still & ~unilateral.rests_of(after)
 
 
 def _ended_at(problem: Problem, state: LoopState, rates: Corners) -> Components:

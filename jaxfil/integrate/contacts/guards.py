@@ -212,8 +212,9 @@ def rearmed(problem: Problem, state: LoopState, end: StepEnd) -> tuple[Motion, C
     kept = (hit | ~state.armed) & ~before
     noise = maximum(motion.noise, where(kept, state.motion.noise, 0.0))
     armed = stays_on(system, motion.mode) | (~hit & state.armed) | (motion.g > noise)
-    # Leaving a slide, or a graze, is a double root of the guard, so its rate is set to exactly
-    # zero. With the computed rate, 3e-15 from rounding, one lane never left its stick.
+    # At w = ±1 the blend of a slide is the field of that side, so that leaving a slide is a double
+    # root of the guard, like a graze, and its rate is set to exactly zero. With the computed rate,
+    # 3e-15 from rounding, one lane never left its stick.
     double = met & (before | state.pending.grazes)
     if end.still is not None:
         double = double | end.still

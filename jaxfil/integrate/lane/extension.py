@@ -42,7 +42,8 @@ class Step(eqx.Module):
     switched: Array
     """Whether a pending switch was carried out."""
     made: Array
-    """Whether that switch belonged to a contact and not to a clock alone."""
+    """Whether that switch is an event: of a contact, or of a tick that has changed the state or a
+    mode."""
     path: Polynomial | None
     """The motion that the step is a part of, if it is a polynomial."""
 
@@ -52,6 +53,11 @@ class Step(eqx.Module):
         `StepEnd.between`); None if there cannot be any."""
         between = self.end.between
         return None if between is None else self.switched & between
+
+    @property
+    def settled(self) -> Array:
+        """Whether the lane has moved to a state with a mode, which may be saved."""
+        return self.moved if self.between is None else self.moved & ~self.between
 
     @property
     def advances(self) -> Array:
@@ -81,8 +87,8 @@ class Extension(eqx.Module):
     """Whether the extension never changes the problem or a step, and follows steps without contact
     by `after_free_step` alone; lanes of a batch then need no full iteration for these steps."""
 
-    between_steps: ClassVar[bool] = False
-    """Whether the extension evaluates states between the steps, which repeat their motion."""
+    follows_contacts: ClassVar[bool] = False
+    """Whether the extension needs every contact (see `Recorder.follows_contacts`)."""
 
     def before_step(self, problem: Problem, own: Any) -> Problem:
         """The problem with the functions and the limits of time of a trial step. `own` is None in

@@ -132,11 +132,12 @@ class Recorder(eqx.Module):
     """
 
     name: ClassVar[str] = "t1"
-    """The name of the corresponding argument of `diffrax.SaveAt`."""
+    """The name in messages, which is that of the argument of `diffrax.SaveAt` if there is one."""
     at_known_times: ClassVar[bool] = True
     """Whether the saving times are independent of the steps."""
-    between_steps: ClassVar[bool] = False
-    """Whether states between the steps follow from the saved ones."""
+    follows_contacts: ClassVar[bool] = False
+    """Whether the run follows every contact: an accumulation is then not completed by a jump to its
+    limit before its flights take no time."""
     in_free_steps: ClassVar[bool] = False
     """Whether states are saved at grid points alone, by a method `keep` for steps without contact;
     lanes of a batch then need no full iteration for these steps."""
@@ -157,9 +158,10 @@ class Recorder(eqx.Module):
         return None
 
     def record(self, problem: "Problem", state: Any, after: Any, step: Any) -> Any:
-        """The lane `after` a `Step` from `state`, a `LoopState`, with the states to be saved. The
-        loop calls it before `after_step` of extensions. The state to be saved is `step.end.motion`
-        where `step.moved`; a landing is saved with the switch that follows it."""
+        """The lane `after` a `Step` from `state`, a `LoopState`, with the states to be saved.
+        `after` has the counts and the events of the step. The loop calls this before `after_step`
+        of extensions. The state to be saved is `step.end.motion` where `step.settled`; a landing is
+        saved with the last switch that follows it."""
         return after
 
     def at_section(self, problem: "Problem", state: Any) -> Any:

@@ -175,7 +175,7 @@ class SaveSteps(Recorder):
 
     name = "steps"
     at_known_times = False
-    between_steps = True
+    follows_contacts = True
     size: int = eqx.field(static=True, kw_only=True)
     """Capacity, in states."""
 
@@ -187,8 +187,7 @@ class SaveSteps(Recorder):
         end = problem.grid.t0 + motion.tau, motion.x, motion.mode
         # A landing is not `moved`. The switch that follows saves the state after the contact. Of
         # several switches at one time the last does, since a state between two maps has no mode.
-        last = step.moved if step.between is None else step.moved & ~step.between
-        return _entered(state, after, problem.system, end, last)
+        return _entered(state, after, problem.system, end, step.settled)
 
     def at_section(self, problem: Problem, state: LoopState) -> LoopState:
         saves, number, end = state.saves, state.counts.num_saved, state.motion

@@ -142,18 +142,18 @@ class Counts(eqx.Module):
     num_accepted: Array
     """Number of accepted trial steps."""
     num_events: Array
-    """Number of contacts."""
+    """Number of events: contacts, and ticks that change the state or a mode."""
     num_saved: Array
     """Number of saved states."""
     period_start: Array | None = None
     """Grid steps completed before this period of the forcing; None if elapsed times never
     restart."""
     num_ticks: Array | None = None
-    """Number of ticks without a surface among the contacts; None if ticks have no map."""
+    """Number of ticks without a surface among the events; None if ticks have no map."""
 
     @property
     def at_surfaces(self) -> Array:
-        """Number of contacts that are not ticks alone."""
+        """Number of events that are not ticks alone."""
         return self.num_events if self.num_ticks is None else self.num_events - self.num_ticks
 
     @property

@@ -32,7 +32,7 @@ class EventSums(Extension):
 
     in_free_steps: ClassVar[bool] = True
     # Events after a jump to the limit of an accumulation would be missed.
-    between_steps: ClassVar[bool] = True
+    follows_contacts: ClassVar[bool] = True
     function: ParametrizedFunction
     """The contribution of an event to each sum, a function of the time, the components of the state
     before and after it, and flags of surfaces."""

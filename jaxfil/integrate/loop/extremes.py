@@ -124,7 +124,7 @@ class Extremes(Extension):
     """The largest values of k functions, which are the rates of the last components of a field."""
 
     in_free_steps: ClassVar[bool] = True
-    between_steps: ClassVar[bool] = True
+    follows_contacts: ClassVar[bool] = True
     field: ComponentSystem
     n: int = eqx.field(static=True)
     """The number of components of the state that precede the functions' components."""
