@@ -51,11 +51,11 @@ Beside FILE.png its numbers are saved as FILE.npz, for jaxfil.load and numpy.loa
 """,
 }
 
-ALL = (
-    f"{_HEAD}  jaxfil --list\n"
-    + "".join(_EXAMPLES[name].split("\n  jaxfil")[0].rstrip("\n") + "\n" for name in _EXAMPLES)
-    + "\nThe same without the script: python -m jaxfil ...\n"
+_FIRST = [text.split("\n  jaxfil")[0].rstrip("\n") for text in _EXAMPLES.values()]
+ALL = "\n".join(
+    [f"{_HEAD}  jaxfil --list", *_FIRST, "", "The same without the script: python -m jaxfil ...\n"]
 )
+"""The first example of each command, for the help of `jaxfil` itself."""
 
 
 def of(name: str) -> str:

@@ -20,12 +20,12 @@ def draw(args: argparse.Namespace, title: str, *drawers: "Callable[[Axes], Any]"
     page = plot.page()
     for i, drawer in enumerate(drawers):
         drawer(page.add_subplot(1, len(drawers), i + 1))
-    asked = title if args.title is None else args.title
-    style: dict[str, Any] = {"fontsize": "small" if args.title is None else None}
+    text = title if args.title is None else args.title
+    size = "small" if args.title is None else "medium"
     if len(drawers) == 1:  # replaces the picture's own title
-        page.axes[0].set_title(asked, loc="left", **style)
+        page.axes[0].set_title(text, loc="left", fontsize=size)
     else:
-        page.suptitle(asked, **style)
+        page.suptitle(text, fontsize=size)
     page.savefig(args.out, dpi=args.dpi or "figure")
 
 
@@ -60,9 +60,14 @@ def sweep_options(args: argparse.Namespace) -> dict[str, Any]:
 
 def sampled(args: argparse.Namespace) -> str:
     """A description of the sampling of a sweep."""
-    what = "crossings" if args.section else "periods"
-    unit = "" if args.section else f" of {args.steps} steps"
-    return f"{args.transient} + {args.samples} {what}{unit}{by_stepper(args)}"
+    if args.section:
+        return f"{args.transient} + {args.samples} crossings, {steps_in_words(args)}"
+    return f"{args.transient} + {args.samples} periods of {steps_in_words(args)}"
+
+
+def steps_in_words(args: argparse.Namespace) -> str:
+    """A description of the steps and the requested stepper."""
+    return f"{args.steps} steps{by_stepper(args)}"
 
 
 def by_stepper(args: argparse.Namespace) -> str:

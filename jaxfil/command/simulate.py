@@ -6,9 +6,9 @@ import diffrax
 import jax.numpy as jnp
 
 from jaxfil.command.chosen import Chosen
-from jaxfil.command.picture import by_stepper, draw, numbers, stepper_options
+from jaxfil.command.picture import draw, numbers, stepper_options, steps_in_words
 from jaxfil.integrate.run.solve import solve
-from jaxfil.model.outcomes import RESULTS
+from jaxfil.model.outcomes import is_successful
 from jaxfil.sweep.interrupt import Interrupts
 
 # Least number of saved times for a picture; a curve through fewer has corners.
@@ -40,8 +40,8 @@ def run(args: argparse.Namespace, of: Chosen, interrupts: Interrupts) -> int:
     if args.out is not None:
         from jaxfil import plot
 
-        title = f"{of.conditions()}, {args.steps} steps{by_stepper(args)}"
+        title = f"{of.conditions()}, {steps_in_words(args)}"
         plane = [lambda ax: plot.phase_portrait(sol, ax, system)] if len(of.x0) > 1 else []
         draw(args, title, lambda ax: plot.time_history(sol, ax, system=system), *plane)
         sol.save(numbers(args))
-    return 0 if bool(sol.result == RESULTS.successful) else 1
+    return 0 if is_successful(sol.result) else 1

@@ -121,4 +121,4 @@ class TransverseExponent(eqx.Module):
         return draw(self, ax=ax)
 
     def __repr__(self) -> str:
-        return average_card("TransverseExponent", self, self.exponent, self.standard_error)
+        return average_card(self, self.exponent)

@@ -10,11 +10,6 @@ from jaxfil.model.types import Scalar
 from jaxfil.xla.select import select
 
 
-def _halves(x: Array) -> tuple[Array, Array]:
-    n = x.shape[0] // 2
-    return x[:n], x[n:]
-
-
 class _DriveResponse(System):
     """A drive x and a response y, z = (x, y), each (n,). Surfaces 0 to m − 1 belong to the drive, m
     to 2m − 1 to the response."""
@@ -27,13 +22,13 @@ class _DriveResponse(System):
         return self.system.slides
 
     def vector_field(self, t: Array, x: Array, side: Array, reaction: Array | None = None) -> Array:
-        drive, response = _halves(x)
+        drive, response = jnp.split(x, 2)
         scalar = jnp.ndim(self.system.switching(t, drive)) == 0
-        sides = (side[0], side[1]) if scalar else _halves(side)
+        sides = (side[0], side[1]) if scalar else jnp.split(side, 2)
         reaction = jnp.zeros_like(side) if reaction is None else reaction
-        forces = (reaction[0], reaction[1]) if scalar else _halves(reaction)
-        # The response uses its own state and side everywhere; with the drive's in one term it would
-        # synchronise at every coupling.
+        forces = (reaction[0], reaction[1]) if scalar else jnp.split(reaction, 2)
+        # Each half uses its own state and side. A term with the drive's in both would synchronise
+        # them at every coupling.
         pull = self.coupling * (drive - response)
         first = field_of(self.system, t, drive, sides[0], forces[0])
         second = field_of(self.system, t, response, sides[1], forces[1])
@@ -45,13 +40,12 @@ class _DriveResponse(System):
 
     def switching(self, t: Array, x: Array) -> Array:
         return jnp.concatenate(
-            [jnp.atleast_1d(self.system.switching(t, half)) for half in _halves(x)]
+            [jnp.atleast_1d(self.system.switching(t, half)) for half in jnp.split(x, 2)]
         )
 
     def reset(self, t: Array, x: Array, surface: Array) -> Array:
-        # Surfaces 0 … m − 1 belong to the drive, m … 2m − 1 to the response; an impact of one does
-        # not move the other.
-        drive, response = _halves(x)
+        # An impact of one half does not move the other.
+        drive, response = jnp.split(x, 2)
         m = jnp.size(self.system.switching(t, drive))
         own = surface % m
         return select(
@@ -65,7 +59,7 @@ class _DriveResponse(System):
         return self.system.resets
 
     def tick(self, t: Array, x: Array, clock: Array) -> Array:
-        return jnp.concatenate([self.system.tick(t, half, clock) for half in _halves(x)])
+        return jnp.concatenate([self.system.tick(t, half, clock) for half in jnp.split(x, 2)])
 
     @property
     def ticks(self) -> bool:
@@ -85,8 +79,8 @@ def drive_response(system: System, coupling: Scalar) -> System:
 
         ẋ = F(t, x),    ẏ = F(t, y) + coupling · (x − y)
 
-    Each half has the m surfaces of `system`, the drive's first, and slides on one or both; each has
-    its impacts. A synchronised state x = y stays so exactly.
+    The new system has 2m surfaces, the drive's first. Each half slides and has impacts on its own
+    surfaces. A synchronised state x = y stays exactly synchronised.
 
     **Arguments**
 

@@ -70,7 +70,7 @@ class LyapunovSpectrum(eqx.Module):
 
     def __repr__(self) -> str:
         exponents = self.exponents
-        return average_card("LyapunovSpectrum", self, exponents, self.standard_error)
+        return average_card(self, exponents)
 
 
 def lyapunov_spectrum(

@@ -14,8 +14,9 @@ from jaxfil.sweep.diagram import TAKEN, BifurcationDiagram
 
 def diagram_from(data: NamedArrays) -> BifurcationDiagram:
     """The diagram."""
+    xs = data.array("x")
     # The indices of an array may contain commas, as in `a[1, 0]`.
-    xs, swept = data.array("x"), tuple(re.split(r", (?![^\[]*\])", data.attributes["swept"]))
+    swept = tuple(re.split(r", (?![^\[]*\])", data.attributes["swept"]))
     axes = [data.array(key_of(name, TAKEN)) for name in swept]
     if "point" in data.variables["x"][0]:
         values = np.stack(axes, axis=1)

@@ -1,22 +1,22 @@
-"""Known times at which a field or a surface jumps."""
+"""Known times at which a field, a surface or the state jumps."""
 
 import equinox as eqx
-import jax
 from jaxtyping import Array, Float
 
 from jaxfil.model.argument import leaf
 
 
 class Clock(eqx.Module):
-    r"""Times at which the field or a switching function jumps, independent of the state.
+    r"""Known times, independent of the state, at which the field, a switching function or the state
+    (`System.tick`) may jump.
 
     $$t_k = \mathrm{phase} + k \cdot \mathrm{period}, \qquad k \in \mathbb{Z}$$
 
-    A `System` lists its clocks in `clocks`. Steps then end on their ticks. Up to a tick the
-    functions of the system are evaluated just before it, and from it on just after it, by a shift
-    of times of the order of rounding. A ramp `jnp.mod(t, period)` or a sampled signal
-    `u[jnp.floor(t / period)]` may therefore be written directly. Derivatives by the period and the
-    phase are exact.
+    A `System` lists its clocks in `clocks`. Steps end on ticks. A step up to a tick evaluates the
+    functions of the system just before it, and the next step just after it, by a shift of times of
+    the order of rounding. A ramp `jnp.mod(t, period)` or a sampled signal
+    `u[jnp.floor(t / period)]` may therefore be written directly. Derivatives with respect to the
+    period and the phase are exact.
 
     **Arguments**
 
@@ -46,9 +46,9 @@ class Clock(eqx.Module):
     0.14 0.6
     """
 
-    period: Float[jax.Array, ""] | float
+    period: Float[Array, ""] | float
     """The time from one tick to the next."""
-    phase: Float[jax.Array, ""] | float = 0.0
+    phase: Float[Array, ""] | float = 0.0
     """The time of a tick."""
 
     def __check_init__(self):

@@ -45,8 +45,11 @@ def _solution(sol: Solution, ax: Axes | None = None) -> Axes:
 
 @draws(Orbit)
 def _orbit(orbit: Orbit, ax: Axes | None = None) -> Axes:
-    """The portrait of one turn, with the system's surfaces."""
-    return phase_portrait(orbit.trajectory(), ax, orbit.system)
+    """The portrait of one turn, with the system's surfaces; over time for a single component."""
+    sol = orbit.trajectory()
+    if sol.x_final.shape[-1] == 1:
+        return time_history(sol, ax, system=orbit.system)
+    return phase_portrait(sol, ax, orbit.system)
 
 
 def phase_portrait(
