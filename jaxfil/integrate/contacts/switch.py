@@ -43,6 +43,7 @@ from jaxfil.integrate.system.components import (
     any_of,
     first_set,
     maximum,
+    total,
     where,
 )
 from jaxfil.integrate.system.lowered import ComponentSystem
@@ -189,9 +190,11 @@ def _in_turn(
     hit = state.pending.surfaces if later is None else state.pending.surfaces & ~later
     if maps.reset is not None:
         hit = where(maps.reset.moved, maps.reset.acted, hit)
-    cause = state.pending.waits & ~state.pending.grazes & (any_of(hit) | maps.moved)
-    others = (choice.mode != mode) & ~hit
-    again = cause & any_of(others)
+    switching = state.pending.waits & ~state.pending.grazes
+    cause, changed = switching & (any_of(hit) | maps.moved), choice.mode != mode
+    # Without a contact or a map all changes belong to this switch that are of one kind.
+    others = changed & ~where(cause, hit, _alike(system, mode, choice.mode))
+    again = switching & any_of(others)
     if later is not None:
         # A surface that waits for its reset takes its side at once.
         others, again = others & ~later, again & ~any_of(later)
@@ -203,6 +206,16 @@ def _in_turn(
     # failure yet: some surfaces still have sides that the state is not on.
     count = select(redone, 1, choice.count)
     return Decision(kept, count), again, redone
+
+
+def _alike(system: ComponentSystem, before: Components, after: Components) -> Components:
+    """The surfaces whose mode changes as that of the lowest one does: to be held, to be no longer
+    held, or from side to side."""
+    one = jnp.ones((), system.dtype)
+    ways = where(stays_on(system, before), one, 0.0 * one)
+    ways = where(stays_on(system, after), 2.0 * one, ways)
+    first = first_set(before != after)
+    return ways == total(where(first, ways, 0.0))
 
 
 def _without_undefined(before: Motion, motion: Motion, redone: Array) -> Motion:

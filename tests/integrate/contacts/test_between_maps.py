@@ -89,18 +89,17 @@ def test_no_section_and_no_saved_row_sees_a_force_beyond_the_limit_of_friction()
 
 class Tanks(jf.System):
     """Two tanks, and a root of the difference of their levels between them; a dose is poured into
-    the lower one and reverses the flow."""
+    the lower one, which reverses the flow. A block with friction is pushed by the level there."""
 
     dose: jax.Array
-    slides = False
 
     def vector_field(self, t, x, side):
         d = x[0] - x[1]
-        flow = 0.4 * jnp.where(side > 0, jnp.sqrt(d), -jnp.sqrt(-d))
-        return jnp.stack([0.5 - flow, flow - 0.3 * x[1]])
+        flow = 0.4 * jnp.where(side[0] > 0, jnp.sqrt(d), -jnp.sqrt(-d))
+        return jnp.stack([0.5 - flow, flow - 0.3 * x[1], 0.5 * x[1] - LIMIT * side[1]])
 
     def switching(self, t, x):
-        return x[0] - x[1]
+        return jnp.stack([x[0] - x[1], x[2]])
 
     def tick(self, t, x, clock):
         return x.at[1].add(self.dose)
@@ -110,24 +109,31 @@ class Tanks(jf.System):
         return (jf.Clock(10.0, 1.0),)
 
 
+@pytest.mark.slow
 def test_a_tick_carries_a_state_to_where_the_field_it_comes_from_is_not_defined():
+    """The side, and the end of the stick, are events of their own behind that of the tick."""
     doses = np.array([0.3, 2.0, 2.4])
 
     def run(dose):
-        return jf.solve(Tanks(dose), jnp.array([1.0, 0.2]), 0.0, 1.3, 0.05, throw=False)
+        kept = dict(throw=False, max_events=8, compact=True)
+        return jf.solve(Tanks(dose), jnp.array([1.0, 0.2, 0.0]), 0.0, 1.3, 0.05, **kept)
 
     def piece(x, t0, t1):
         def field(t, x):
             flow = 0.4 * np.sign(x[0] - x[1]) * np.sqrt(abs(x[0] - x[1]))
-            return [0.5 - flow, flow - 0.3 * x[1]]
+            push = 0.5 * x[1] - LIMIT
+            return [0.5 - flow, flow - 0.3 * x[1], push if push > 0 else 0.0]
 
         return solve_ivp(field, (t0, t1), x, method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
 
     sols = jax.jit(jax.vmap(run))(jnp.asarray(doses))
     assert np.all(jf.RESULTS.names(sols.result) == "successful")
-    before = piece([1.0, 0.2], 0.0, 1.0)
-    ends = [piece(before + np.array([0.0, dose]), 1.0, 1.3) for dose in doses]
+    before = piece([1.0, 0.2, 0.0], 0.0, 1.0)
+    ends = [piece(before + np.array([0.0, dose, 0.0]), 1.0, 1.3) for dose in doses]
     np.testing.assert_allclose(sols.x_final, ends, rtol=1e-10)
+    tick, carry, slip = (jf.EventKind[name].value for name in ("tick", "carry", "slip"))
+    rows = np.array([[tick, 0, 0], [tick, carry, slip], [tick, carry, slip]])
+    np.testing.assert_array_equal(sols.events.kinds[:, :3], rows)
 
 
 HALF = 0.4
