@@ -198,13 +198,13 @@ def _in_turn(
     if later is not None:
         # A surface that waits for its reset takes its side at once.
         others, again = others & ~later, again & ~any_of(later)
-    redone = again
+    # If the next switch decides again, a decision without any mode is not a failure yet.
+    redone, count = again, select(again, jnp.maximum(choice.count, 1), choice.count)
     if later is not None:
-        redone = redone | (any_of(later) & (maps.moved | state.pending.jumped))
+        # While some surfaces have sides that the state is not on, one with several is none either.
+        carried = any_of(later) & (maps.moved | state.pending.jumped)
+        redone, count = redone | carried, select(carried, 1, count)
     kept = where(others & (cause | redone), mode, choice.mode)
-    # If the next switch decides again, a decision without any mode, or with several, is not a
-    # failure yet: some surfaces still have sides that the state is not on.
-    count = select(redone, 1, choice.count)
     return Decision(kept, count), again, redone
 
 
