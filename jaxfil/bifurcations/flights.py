@@ -1,6 +1,7 @@
 """The pieces of an orbit, its flights between contacts, and candidates of tangencies on them."""
 
 import dataclasses
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -98,6 +99,8 @@ class Pieces:
     stops: np.ndarray
     first: Ends
     last: Ends
+    at: Callable[[np.ndarray, np.ndarray], Ends]
+    """The values on pieces of these numbers, each after this part of its length."""
 
     @property
     def period(self) -> float:
@@ -140,21 +143,17 @@ def pieces_of(orbit: Orbit) -> Pieces:
         v[order] for v in (ts, xs, modes, lows, highs, shift, number)
     )
     flown = np.array([flight.mode for flight in flights])[number]
-    rows = [
-        np.concatenate([v, w])
-        for v, w in (
-            (ts, ts),
-            (xs, xs),
-            (modes, modes),
-            (flown, flown),
-            (lows, highs),
-            (np.ones_like(lows), -np.ones_like(highs)),
-        )
-    ]
     run = dataclasses.replace(arcs[0], system=orbit.system, ts=None, xs=None, modes=None)
-    seen = _ends_at(run, *(filled(v) for v in rows))
-    first, last = (Ends(*(np.asarray(v)[i : i + ts.size] for v in seen)) for i in (0, ts.size))
-    return Pieces(orbit, flights, number, ts + lows + shift, ts + highs + shift, first, last)
+
+    def at(k: np.ndarray, part: np.ndarray) -> Ends:
+        h, ways = (1 - part) * lows[k] + part * highs[k], np.where(part < 1, 1.0, -1.0)
+        # As many rows as for all pieces, for the same program.
+        rows = (filled(v, ts.size) for v in (ts[k], xs[k], modes[k], flown[k], h, ways))
+        return Ends(*(np.asarray(v)[: k.size] for v in _ends_at(run, *rows)))
+
+    all_pieces = np.arange(ts.size)
+    first, last = (at(all_pieces, np.full(ts.shape, part)) for part in (0.0, 1.0))
+    return Pieces(orbit, flights, number, ts + lows + shift, ts + highs + shift, first, last, at)
 
 
 def quiet_node(pieces: Pieces, left: float, right: float) -> float:
@@ -223,6 +222,6 @@ def _ends_at(
     return jax.vmap(one)(ts, xs, modes, flown, lengths, ways)
 
 
-def filled(rows: np.ndarray) -> Array:
-    """Rows padded with the last one to a power of two."""
-    return array_of(rows[np.minimum(np.arange(power_of_two(len(rows))), len(rows) - 1)])
+def filled(rows: np.ndarray, least: int = 0) -> Array:
+    """Rows padded with the last one to a power of two, at least to this number."""
+    return array_of(rows[np.minimum(np.arange(power_of_two(max(len(rows), least))), len(rows) - 1)])

@@ -4,11 +4,21 @@ Most are smooth. Where the state or the field jumps, at a tick or at another sur
 least without a tangency.
 """
 
+from typing import TypeAlias
+
 import numpy as np
 
 from jaxfil.bifurcations.closure import least_between
 from jaxfil.bifurcations.flights import Candidate, Pieces
 from jaxfil.bifurcations.tangency import FAMILIES, SLIDE
+
+# The largest number of cubics by which a minimum is narrowed down. Each reduces its distance by the
+# square of the angle that the guard turns by in a step, over twelve at least.
+_CUBICS = 12
+# A value is that of the cubic within this multiple of the rounding of the guard.
+_ROUNDINGS = 8
+
+_Both: TypeAlias = tuple[np.ndarray, np.ndarray]
 
 
 def minima(pieces: Pieces, j: int, kind: str) -> list[Candidate]:
@@ -30,10 +40,9 @@ def minima(pieces: Pieces, j: int, kind: str) -> list[Candidate]:
         right = at + min(0.5 * (flight.stop - at), most)
         found.append(Candidate(least, j, side, flight.mode, left, at, right, minimum=minimum))
 
-    for k in np.flatnonzero(flown & (rates[0] < 0) & (rates[1] >= 0)).tolist():
-        # Not at the ends of steps, where a higher minimum may seem to be the lower one.
-        ends = (guards[0][k], guards[1][k]), (rates[0][k], rates[1][k])
-        part, least = least_between(lengths[k], *ends)
+    turns = np.flatnonzero(flown & (rates[0] < 0) & (rates[1] >= 0))
+    ends = [(v[0][turns], v[1][turns]) for v in (guards, rates)]
+    for k, part, least in zip(turns.tolist(), *_lowest(pieces, j, turns, *ends), strict=True):
         add(k, float(least), float(pieces.starts[k] + part * lengths[k]), "smooth")
     for k in np.flatnonzero(flown & abrupt).tolist():
         least = min(guards[1][k], np.roll(guards[0], -1)[k])
@@ -46,6 +55,33 @@ def minima(pieces: Pieces, j: int, kind: str) -> list[Candidate]:
         one._replace(reach=float(np.sqrt(max(one.reach, 0) / height) * pieces.period / np.pi))
         for one in found
     ]
+
+
+def _lowest(
+    pieces: Pieces, j: int, k: np.ndarray, values: _Both, rates: _Both
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where on pieces of numbers k the guard of surface j is least, as a part of their lengths, and
+    its value there, given its values and rates at both ends. A cubic is not accurate enough to
+    compare minima of nearly equal height: each is narrowed down to what the orbit itself has."""
+    lengths, (low, high) = (pieces.stops - pieces.starts)[k], (np.zeros(k.size), np.ones(k.size))
+    rounding = np.finfo(lengths.dtype).eps * max(np.max(abs(v), initial=0) for v in values)
+    part, value = low, values[0]
+    for _ in range(_CUBICS if k.size else 0):
+        between, expected = least_between((high - low) * lengths, values, rates)
+        part = low + between * (high - low)
+        there = pieces.at(k, part)
+        value, rate = there.guards[:, j], there.rates[:, j]
+        # A minimum that is found stays, and one that is between no other two numbers.
+        stays = (abs(value - expected) <= _ROUNDINGS * rounding) | (part == low) | (part == high)
+        if np.all(stays):
+            break
+        falls, rises = ~stays & (rate < 0), ~stays & (rate >= 0)
+        low, high = np.where(falls, part, low), np.where(rises, part, high)
+        values, rates = (
+            (np.where(falls, v, pair[0]), np.where(rises, v, pair[1]))
+            for v, pair in ((value, values), (rate, rates))
+        )
+    return part, value
 
 
 def _goes_on(pieces: Pieces, modes: np.ndarray, j: int) -> np.ndarray:

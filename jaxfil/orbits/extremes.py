@@ -115,7 +115,7 @@ def _extremes_of(dense: Dense, n: int) -> tuple[Array, Array]:
     numbers, signs = np.repeat(np.arange(n), 2), np.tile([-1.0, 1.0], n)
 
     def extreme(i: Array, sign: Array) -> Array:
-        return sign * largest(dense, lambda t, x: sign * x[i]).value
+        return sign * largest(dense, lambda t, x: sign * x[i])
 
     both = jax.vmap(extreme)(jnp.asarray(numbers), jnp.asarray(signs, dense.xs.dtype))
     return both[0::2], both[1::2]

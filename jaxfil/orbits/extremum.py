@@ -1,7 +1,8 @@
 """The largest value of a function along a trajectory, between steps too.
 
-On the most promising parts of steps the zero of the function's derivative along the field is
-bracketed, and the step is repeated up to it, as an integrator locates an event.
+On every part of a step on which the function turns, the zero of its derivative along the field is
+bracketed, and the step is repeated up to it, as an integrator locates an event. Nothing that the
+ends of a long step tell is accurate enough to compare two maxima of nearly equal height.
 """
 
 from collections.abc import Callable
@@ -21,18 +22,8 @@ from jaxfil.integrate.system.lowered import build
 from jaxfil.orbits.regula_falsi import zero_between
 from jaxfil.xla.select import select
 
-# Number of parts of steps on which it is located, with the largest estimates. Of two maxima that
-# are equal within the error of a parabola, either may be returned.
-_LOOKED_AT = 3
-
-
-class Extremum(eqx.Module):
-    """The largest value of a function, its time and state, and the mode there."""
-
-    value: Float[Array, ""]
-    t: Float[Array, ""]
-    x: Float[Array, " n"]
-    mode: Float[Array, " m"]
+# Number of maxima that are located at a time.
+_AT_A_TIME = 4
 
 
 class _Part(eqx.Module):
@@ -45,40 +36,23 @@ class _Part(eqx.Module):
     high: Array
 
 
-def largest(dense: Dense, function: Callable[[Array, Array], Array]) -> Extremum:
+def largest(dense: Dense, function: Callable[[Array, Array], Array]) -> Float[Array, ""]:
     """The largest value of `function(t, x)` over all steps of a trajectory."""
     dtype = dense.xs.dtype
     system = build(dense.system, dense.xs[0], compact=dense.compact)
 
-    def look(part: _Part, h: Array) -> tuple[Array, Array, Array]:
-        """State, value and rate after a length h of the step of a part."""
+    def look(part: _Part, h: Array) -> tuple[Array, Array]:
+        """Value and rate after a length h of the step of a part."""
         here = within_step(dense, system, part.t)
         field = ModeField(here, here.of_surfaces(part.mode.astype(dtype)))
         end = step_again(dense, here, field, part.t, here.unpack(part.x), h)
         t, f = part.t + h, pack(field(part.t + h, end), dtype)
-        x = pack(end, dtype)
-        value, rate = jax.jvp(function, (t, x), (jnp.ones_like(t), f))
-        return x, value, rate
+        return jax.jvp(function, (t, pack(end, dtype)), (jnp.ones_like(t), f))
 
-    def estimate(part: _Part) -> tuple[Array, Array]:
-        """The largest value on a part by the parabola through both slopes; the slopes."""
-        _, values, rates = jax.vmap(lambda h: look(part, h))(jnp.stack([part.low, part.high]))
-        # The parabola through both slopes and the value at the start; flat slopes have no peak.
-        gap = rates[0] - rates[1]
-        length = part.high - part.low
-        peak = values[0] + 0.5 * rates[0] ** 2 * length / select(gap == 0, 1, gap)
-        inside = (rates[0] > 0) & (rates[1] < 0)
-        return jnp.maximum(jnp.max(values), select(inside, peak, -jnp.inf)), rates
-
-    def locate(part: _Part, rates: Array) -> tuple[Array, Array, Array]:
-        """The largest value on one part, its time and state."""
-        peak = zero_between(lambda h: look(part, h)[2], part.low, part.high, *rates)
-        # Without a change of sign the search returns any point; the ends are the candidates.
-        inside = (rates[0] > 0) & (rates[1] < 0)
-        ends = jnp.stack([part.low, select(inside, peak, part.low), part.high])
-        xs, values, _ = jax.vmap(lambda h: look(part, h))(ends)
-        best = jnp.argmax(values)
-        return values[best], part.t + ends[best], xs[best]
+    def peak(part: _Part, rates: Array) -> Array:
+        """The maximum on a part on which the function turns."""
+        h = zero_between(lambda h: look(part, h)[1], part.low, part.high, *rates)
+        return look(part, h)[0]
 
     # Rows beyond the last step are padding, and steps of length zero have no extremum.
     ends = jnp.append(dense.ts[1:], jnp.inf)
@@ -97,9 +71,19 @@ def largest(dense: Dense, function: Callable[[Array, Array], Array]) -> Extremum
         )
     )
     parts = _Part(ts, xs, modes, divided[:, :-1].ravel(), divided[:, 1:].ravel())
-    estimates, rates = jax.vmap(estimate)(parts)
-    _, likely = jax.lax.top_k(select(real, estimates, -jnp.inf), min(_LOOKED_AT, real.size))
-    parts, rates = jax.tree.map(lambda v: v[likely], (parts, rates))
-    values, ts, xs = jax.vmap(locate)(parts, rates)
-    best = jnp.argmax(select(real[likely], values, -jnp.inf))
-    return Extremum(values[best], ts[best], xs[best], parts.mode[best].astype(dtype))
+    lows, highs = (jax.vmap(look)(parts, h) for h in (parts.low, parts.high))
+    best = jnp.max(select(real, jnp.maximum(lows[0], highs[0]), -jnp.inf))
+    rates = jnp.stack([lows[1], highs[1]], axis=1)
+    turns = real & (rates[:, 0] > 0) & (rates[:, 1] < 0)
+    # The parts on which it turns, before the others.
+    number = jnp.argsort(~turns, stable=True)
+    number = jnp.pad(number, (0, -number.size % _AT_A_TIME), mode="edge")
+
+    def look_further(state: tuple[Array, Array]) -> tuple[Array, Array]:
+        done, best = state
+        here = jax.lax.dynamic_slice(number, (done,), (_AT_A_TIME,))
+        peaks = jax.vmap(peak)(*jax.tree.map(lambda v: v[here], (parts, rates)))
+        return done + _AT_A_TIME, jnp.maximum(best, jnp.max(select(turns[here], peaks, -jnp.inf)))
+
+    count, none = jnp.sum(turns, dtype=jnp.int32), jnp.zeros((), jnp.int32)
+    return jax.lax.while_loop(lambda state: state[0] < count, look_further, (none, best))[1]

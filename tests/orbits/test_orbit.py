@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
 from jaxfil import RESULTS, EventKind
+from jaxfil.bifurcations.candidates import approaches
 from jaxfil.model.outcomes import outcome_names
 from tests.problems import PROBLEMS, closed_forms, tagged
 from tests.problems.systems import belt
@@ -735,6 +736,63 @@ def test_an_orbit_by_a_tolerance_has_all_of_its_steps():
     ends = [np.asarray(v.ts)[np.isfinite(v.ts)] for v in (dense, jax.jit(jf.Orbit.dense)(orbit))]
     assert_array_equal(*ends)
     assert len(ends[0]) > 440 and ends[0][-1] == 2 * np.pi
+
+
+class Geared(jf.System):
+    """x = cos(6t + ψ) + 0.01 cos(t + χ), beside a surface above."""
+
+    psi: jax.Array
+    chi: jax.Array
+    period = 2 * np.pi
+    slides = False
+
+    def vector_field(self, t, x, side):
+        six, one = 6 * t + self.psi, t + self.chi
+        force = jnp.cos(six) - 6 * jnp.sin(six) + 0.01 * (jnp.cos(one) - jnp.sin(one))
+        return force - x
+
+    def switching(self, t, x):
+        return 1.02 - x[0]
+
+
+# The tops differ by less than what a cubic through both ends of a step is off by.
+PSI, CHI = 0.03 + np.pi / 6 * np.arange(12), 1 + 0.37 * np.arange(12)
+
+
+def turns():
+    """The times and values at which x of `Geared` turns."""
+    psi, chi = PSI[:, None], CHI[:, None]
+    t = (np.pi * np.arange(12) - psi) / 6
+    for _ in range(3):  # Newton's method
+        slope = -6 * np.sin(6 * t + psi) - 0.01 * np.sin(t + chi)
+        t = t - slope / (-36 * np.cos(6 * t + psi) - 0.01 * np.cos(t + chi))
+    return t, np.cos(6 * t + psi) + 0.01 * np.cos(t + chi)
+
+
+@functools.cache
+def geared():
+    def found(psi, chi, x0):
+        return jf.periodic_orbit(Geared(psi, chi), x0, throw=False)
+
+    x0 = np.cos(PSI) + 0.01 * np.cos(CHI)
+    return eqx.filter_vmap(found)(*(jnp.asarray(v) for v in (PSI, CHI, x0[:, None])))
+
+
+@pytest.mark.slow
+def test_the_highest_of_tops_of_nearly_equal_height():
+    low, high = eqx.filter_jit(eqx.filter_vmap(jf.Orbit.extremes))(geared())
+    _, values = turns()
+    assert_allclose(low[:, 0], np.min(values, axis=1), rtol=0, atol=1e-6)
+    assert_allclose(high[:, 0], np.max(values, axis=1), rtol=0, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_margin_is_that_of_the_highest_top():
+    times, values = turns()
+    for i in range(12):
+        (nearest,) = approaches(lane(geared(), i))
+        off = 2 * np.pi * nearest.tangency.phase - times[i, np.argmax(values[i])]
+        assert_allclose(np.sin(off / 2), 0, rtol=0, atol=1e-6)
 
 
 class Teeth(jf.System):
