@@ -31,6 +31,8 @@ CELLS, _POINTS = 4, 6
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(_POINTS)
 # Beside ticks, where functions jump, cells are evaluated within their ends by this multiple of eps.
 _INSIDE = 8.0
+# The end of a cell that is nearer to a tick than this part of the cell becomes the tick.
+_NEAR = 1e-2
 
 
 class _Zeros(NamedTuple):
@@ -129,14 +131,29 @@ class Galerkin(eqx.Module):
     def _edges(self, dtype: np.dtype) -> tuple[Array, Array]:
         """The ends of all cells and the ticks of clocks, in order; and for each the distance at
         which functions are evaluated beside it."""
-        edges = jnp.arange(self.cells + 1).astype(dtype) / self.cells
-        inside, several = _INSIDE * jnp.finfo(dtype).eps, [edges]
+        inside = _INSIDE * jnp.finfo(dtype).eps
+        number = jnp.arange(self.cells).astype(dtype)
+        edges, moved, others = number / self.cells, jnp.zeros(self.cells, bool), []
         for clock in self.system.clocks:
+            # The ticks of a period, from 0 to 1, and the end of a cell that each is nearest to.
             first, step = clock.phase / self.period, clock.period / self.period
-            # The first tick from the start of a cell on; one beyond its end is in another cell.
-            number = jnp.ceil(stop_gradient((edges[:-1] - first) / step))
-            tick = first + number * step
-            several.append(select(tick < edges[1:], tick, edges[1:]))
+            ticks = first + (number - jnp.floor(stop_gradient(first / step))) * step
+            ticks -= jnp.floor(stop_gradient(ticks))
+            exist = number < jnp.round(stop_gradient(1 / step))
+            nearest = jnp.round(stop_gradient(ticks) * self.cells)
+            away, nearest = ticks - nearest / self.cells, nearest.astype(jnp.int32) % self.cells
+            # This end becomes the tick. In a cell between both, of no length, the jump of a
+            # function at the tick would be lost, which is its derivative as the tick moves.
+            meet = exist & (abs(away) * self.cells < _NEAR) & ~moved[nearest]
+            place = select(meet, nearest, self.cells)  # no place beyond the last one
+            edges = edges.at[place].add(away, mode="drop")
+            moved = moved.at[place].set(True, mode="drop")
+            others.append((ticks, exist & ~meet))
+        start = edges[0]
+        several = [edges, start[None] + 1]
+        for ticks, exist in others:
+            ticks -= jnp.floor(stop_gradient(ticks - start))
+            several.append(select(exist, ticks, start))
         edges = jnp.sort(jnp.concatenate(several))
         ticks = jnp.zeros(edges.shape, bool)
         for clock in self.system.clocks:
