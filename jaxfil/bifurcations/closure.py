@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.lax import stop_gradient
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxfil.bifurcations.tangency import ARRIVAL, Tangency
 from jaxfil.integrate.lane.extension import Extension, Step, Verdict
@@ -38,14 +38,17 @@ _ROUNDING = 1e-7
 class Closing(eqx.Module):
     """The closure residual of an orbit through a tangency, the mismatch of the end of each of M
     arcs with the start of the next one, with its contacts. `holds` is true if the guards of the
-    flight, followed as if Σ were not there, are positive except at the tangency. `contacts` counts
-    the contacts of the orbit elsewhere. `first_mode` is the mode at the start."""
+    flight, followed as if Σ were not there, are positive except at the tangency, and `passes` if
+    its own may also be negative around this, though not at the ends of the flight, where the full
+    flow goes on. `contacts` counts the contacts of the orbit elsewhere. `first_mode` is the mode at
+    the start."""
 
     gap: Float[Array, " Mn"]
     t: Array
     x: Float[Array, " n"]
     size: Float[Array, " n"]
     holds: Array
+    passes: Array
     contacts: Int[Array, ""]
     first_mode: Float[Array, " m"]
     result: RESULTS
@@ -112,6 +115,8 @@ def close(
     # After a reset the full flow follows the orbit, in a mode of its own.
     number = np.arange(xs.shape[0])
     counts = stretches.keeps & (~tangency.struck | jnp.asarray(number <= _PIECES))
+    clear, crosses = seen.guards.are_positive(counts), seen.guards.go_below(counts)
+    crosses &= jnp.arange(crosses.size, dtype=jnp.int32) == tangency.surface
     # The flight may have moved out of its arc.
     far = jnp.sqrt(jnp.finfo(starts.dtype).eps) * period
     leaves = (result == RESULTS.successful) & jnp.any(stretches.length < -far)
@@ -121,7 +126,8 @@ def close(
         t=tangency.phase * period,
         x=xs[_PIECES],
         size=size,
-        holds=seen.guards.are_positive(counts),
+        holds=jnp.all(clear),
+        passes=jnp.all(clear | crosses),
         contacts=jnp.sum(seen.contacts, dtype=jnp.int32),
         first_mode=seen.first_mode[0],
         result=result,
@@ -168,11 +174,19 @@ class _Guards(eqx.Module):
     least: Float[Array, "*k m"]
     largest: Float[Array, "*k m"]
 
-    def are_positive(self, counts: Array) -> Array:
-        """Whether all are positive beyond rounding on the stretches that count."""
+    def are_positive(self, counts: Array) -> Bool[Array, " m"]:
+        """Whether each is positive beyond rounding on the stretches that count."""
         least = jnp.min(select(counts[:, None], self.least, jnp.inf), axis=0)
-        largest = jnp.max(select(counts[:, None], self.largest, 0), axis=0)
-        return jnp.all(least >= -_ROUNDING * largest)
+        return least >= -self._rounding(counts)
+
+    def go_below(self, counts: Array) -> Bool[Array, " m"]:
+        """Whether each is negative at the tangency, but at neither end of the flight."""
+        at, first, last = (self.least[i] for i in (_PIECES, 1, 2 * _PIECES))
+        last = select(counts[2 * _PIECES], last, jnp.inf)
+        return (at < -self._rounding(counts)) & (first > 0) & (last > 0)
+
+    def _rounding(self, counts: Array) -> Float[Array, " m"]:
+        return _ROUNDING * jnp.max(select(counts[:, None], self.largest, 0), axis=0)
 
 
 class _GuardsSeen(Extension):

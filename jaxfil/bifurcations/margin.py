@@ -79,7 +79,8 @@ def grazing_margin(
 
     **Outcomes**: `successful`; `no_tangency_found` if the given orbit itself failed, no flight of
     it approaches a surface, H has no minimum on its flights, or its least one is at a tick of a
-    clock or a contact with another surface, where the state or the field jumps; `newton_stalled`,
+    clock or a contact with another surface, where the state or the field jumps; `orbit_lost` where
+    the flight meets another surface, or its ends are beyond this one; `newton_stalled`,
     `newton_singular` or `newton_max_steps_reached` if the system has perhaps no orbit near it; and
     where the flow cannot be followed from the guess, `nonfinite`, `max_steps_reached`,
     `mode_undecided`, `zeno`, `nonunique`, `reset_undecided`, `undeclared_sliding` or
@@ -127,7 +128,7 @@ def _margin_at(system: System, orbit: Orbit, guess: Guess) -> GrazingMargin:
     closing: Closing
     _, _, closing = root.at.aux  # see `_without_height`
     there = conditions(system, closing.t, closing.x, guess.tangency)
-    return _margin_of(z, root, guess.missing, there.bend)
+    return _margin_of(z, root, guess.missing, there.bend, closing.passes)
 
 
 @eqx.filter_jit
@@ -139,13 +140,15 @@ def _first_guess(orbit: Orbit, tangency: Tangency) -> tuple["_Margin", Array]:
 
 
 @jax.jit
-def _margin_of(z: Array, root: Root, missing: Array, bend: Array) -> GrazingMargin:
-    """The margin of a solution, if the guard has a minimum there."""
+def _margin_of(z: Array, root: Root, missing: Array, bend: Array, passes: Array) -> GrazingMargin:
+    """The margin of a solution, if the guard has a minimum there, and the flight is one of the
+    system apart from its passage through the surface."""
     is_minimum = bend > 0
     found = root.result == RESULTS.successful
+    result = RESULTS.where(found & ~passes, RESULTS.orbit_lost, root.result)
     none = missing | (found & ~is_minimum)
-    result = RESULTS.where(none, RESULTS.no_tangency_found, root.result)
-    return GrazingMargin(select(is_minimum, z[-1], jnp.nan), result)
+    result = RESULTS.where(none, RESULTS.no_tangency_found, result)
+    return GrazingMargin(select(is_minimum & passes, z[-1], jnp.nan), result)
 
 
 class _Margin(Equations):

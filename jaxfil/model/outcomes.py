@@ -112,7 +112,7 @@ class RESULTS(eqx.Enumeration, metaclass=_Outcomes):
     other_kind = "A bifurcation was located, but it is of another kind than requested."
     orbit_lost = (
         "Newton's method has converged to a point that is not an orbit of the system. It reaches a "
-        "surface elsewhere, so that the orbit ends or changes before the bifurcation."
+        "surface elsewhere, so that the orbit ends or changes before its tangency."
     )
     not_nearest = (
         "The point is on the grazing set, but does not minimise the distance, since neighbouring "

@@ -226,6 +226,37 @@ def test_ticks_do_not_end_a_flight_beyond_its_surface(kind):
         assert abs(float(margin(jnp.array(d))) - (d - np.sqrt(0.5))) < 1e-11
 
 
+class SoftThreshold(jf.System):
+    """y' = p cos t − y and 4(0.6 − y) more beyond y = 0.6, below another one of 0.66. For a
+    smaller p than 0.6√2 the largest y is p/√2."""
+
+    p: jax.Array
+    period = 2 * np.pi
+    slides = False
+
+    def vector_field(self, t, x, side):
+        return self.p * jnp.cos(t) - x - jnp.where(side[0] > 0, 4.0 * (x - 0.6), 0.0)
+
+    def switching(self, t, x):
+        return jnp.stack([x[0] - 0.6, 0.66 - x[0]])
+
+
+@pytest.mark.slow
+def test_a_margin_is_not_that_of_a_flight_beyond_another_surface():
+    """The flight of the known orbit is followed beyond 0.6, where that of the others is shorter, or
+    never. The largest y was found by DOP853 in SciPy."""
+    orbit = jf.periodic_orbit(SoftThreshold(jnp.float64(1.0)), jnp.array([0.4]), steps=32)
+
+    @eqx.filter_jit
+    @eqx.filter_vmap
+    def margin(p):
+        return jf.grazing_margin(SoftThreshold(p), orbit, throw=False)
+
+    found = margin(jnp.array([1.0, 0.86, 0.83, 0.8]))
+    assert outcome_names(found.result).tolist() == ["successful", *["orbit_lost"] * 3]
+    np.testing.assert_allclose(found.value, [0.66 - 0.6488699031, *[np.nan] * 3], rtol=0, atol=1e-9)
+
+
 class Counted(jf.systems.SDOscillator):
     """Counts how often its field is traced."""
 
