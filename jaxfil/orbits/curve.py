@@ -5,7 +5,7 @@ Each kind of curve (orbits as a parameter varies, tangencies as two do) is a sub
 
 import abc
 import dataclasses
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, ClassVar, Generic, TypeVar
 
 import equinox as eqx
@@ -194,6 +194,12 @@ class Curve(abc.ABC, Generic[_Point]):
 
     def special_end(self, here: _Point) -> Iterable[Special[_Point]]:
         """Special points at the end of the curve."""
+        return ()
+
+    def overlooked(
+        self, points: Sequence[_Point], special: Sequence[Special[_Point]]
+    ) -> Iterable[Special[_Point]]:
+        """Special points that only all points of the curve together show."""
         return ()
 
     def elsewhere(

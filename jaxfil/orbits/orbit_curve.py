@@ -7,7 +7,7 @@ nearest one that is not on its earlier part.
 """
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import equinox as eqx
 import jax
@@ -28,7 +28,12 @@ from jaxfil.orbits.locating import change_on_curve, jumps_on_curve
 from jaxfil.orbits.newton import Root
 from jaxfil.orbits.phase import phased_like
 from jaxfil.orbits.phase_shift import period_of, problem_at, quiet_phase, seen_from
-from jaxfil.orbits.special_points import crossing, kind_of_change, special_orbits
+from jaxfil.orbits.special_points import (
+    crossing,
+    kind_of_change,
+    overlooked,
+    special_orbits,
+)
 from jaxfil.xla.known import array_of
 
 # A guess from a neighbour converges in a few steps or not at all; across a square root of the
@@ -127,6 +132,17 @@ class OrbitCurve(Curve[OrbitPoint]):
     def special_points(self, a: OrbitPoint, b: OrbitPoint) -> Iterator[Special[OrbitPoint]]:
         """Zeros of test functions and changes of the contacts."""
         return special_orbits(self, a, b, lambda point: period_of(self.problem, point))
+
+    def overlooked(
+        self, points: Sequence[OrbitPoint], special: Sequence[Special[OrbitPoint]]
+    ) -> Iterator[Special[OrbitPoint]]:
+        """Multipliers that cross the unit circle in many short steps."""
+
+        def curve_at(point: OrbitPoint) -> OrbitCurve:
+            problem = self.problem if point.t0 is None else problem_at(self.problem, point.t0)
+            return dataclasses.replace(self, problem=problem, t0=point.t0)
+
+        return overlooked(curve_at, points, special)
 
     def elsewhere(
         self, here: OrbitPoint, start: OrbitPoint

@@ -89,6 +89,14 @@ def follow(
     curve: Curve[_Point], start: _Point, within: Range, max_step: float, max_points: int
 ) -> Path[_Point]:
     """The curve from one point to its ends, starting in the direction of its tangent."""
+    path = _both_ways(curve, start, within, max_step, max_points)
+    special = [*path.special, *curve.overlooked(path.points, path.special)]
+    return dataclasses.replace(path, special=sorted(special, key=lambda s: s.index))
+
+
+def _both_ways(
+    curve: Curve[_Point], start: _Point, within: Range, max_step: float, max_points: int
+) -> Path[_Point]:
     paths: list[Path[_Point]] = []
     for way in within.ways:
         begin = dataclasses.replace(start, tangent=way * start.tangent)

@@ -5,15 +5,23 @@ and changes of the sequence of contacts.
 """
 
 import dataclasses
-from collections.abc import Callable, Iterator
+import itertools
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
 from jaxfil.orbits.chattering import differ_by_chattering, rests_in
 from jaxfil.orbits.corrector import OrbitPoint
 from jaxfil.orbits.curve import Curve, Special
-from jaxfil.orbits.locating import ends_between, is_corner
-from jaxfil.orbits.unit_circle import period_doubling, zeros_between
+from jaxfil.orbits.locating import ends_between, is_corner, zero_on_curve
+from jaxfil.orbits.unit_circle import (
+    DOUBLING,
+    PAIR,
+    kind_on_circle,
+    late_crossings,
+    period_doubling,
+    zeros_between,
+)
 
 
 def _fold(point: OrbitPoint) -> float:
@@ -57,6 +65,29 @@ def special_orbits(
             return
         a = after
     yield from _zeros(curve, a, b)
+
+
+def overlooked(
+    curve_at: Callable[[OrbitPoint], Curve[OrbitPoint]],
+    points: Sequence[OrbitPoint],
+    special: Sequence[Special[OrbitPoint]],
+) -> Iterator[Special[OrbitPoint]]:
+    """Points at which multipliers cross the unit circle in several steps, given the curve of each
+    point and the special points that are known."""
+    heights = np.array([np.sort(abs(_multipliers(point)) - 1)[::-1] for point in points])
+    pairs = itertools.pairwise(points)
+    alike = np.array([a.sequence == b.sequence and a.t0 == b.t0 for a, b in pairs], bool)
+    known = [s.index for s in special if s.kind in (DOUBLING, PAIR)]
+    for i, rank in late_crossings(heights, alike, known):
+        a, b = points[i : i + 2]
+
+        def height(point: OrbitPoint, rank: int = rank) -> float:
+            return float(np.sort(abs(_multipliers(point)) - 1)[::-1][rank])
+
+        point = zero_on_curve(curve_at(a), a, b, height)
+        kind = None if point is None else kind_on_circle(_multipliers(point))
+        if point is not None and kind is not None:
+            yield Special(kind, point, point.sequence, point.sequence, i + 1)
 
 
 def _zeros(curve: Curve[OrbitPoint], a: OrbitPoint, b: OrbitPoint) -> Iterator[Special[OrbitPoint]]:

@@ -564,6 +564,26 @@ def test_several_multipliers_cross_the_circle_at_once_or_none(a, b, stop, found)
     assert_allclose([p.value for p in branch.points], [v for _, v in found], rtol=0, atol=1e-8)
 
 
+@pytest.mark.parametrize(
+    "a, kind",
+    [
+        (entry(0, 1) - entry(1, 0), "neimark-sacker"),
+        (-entry(0, 0) - entry(1, 1), "period-doubling"),
+    ],
+)
+def test_multipliers_cross_the_circle_in_steps_as_short_as_their_distance(a, kind):
+    """Two multipliers of size p, as of a resonator with Q = 10⁶."""
+    system = Multiplied(jnp.asarray(1 - 5e-7), 0 * a, jnp.asarray(a))
+    orbit = jf.periodic_orbit(system, jnp.zeros(3), steps=2, stepper=jf.RK4())
+    branch = jf.continue_orbit(system, "p", orbit, stop=1 + 5e-7, max_step=2e-8)
+    (point,) = branch.points
+    assert point.kind == kind
+    assert_allclose(point.value, 1, rtol=0, atol=1e-12)
+    assert_array_equal(branch.stable, branch.values < 1)
+    before, after = branch.values[point.index - 1 : point.index + 1]
+    assert before < point.value < after
+
+
 class Invaded(jf.System):
     """x' = cos t − x, y' = (r + x − c y − d y²) y; its orbit y = 0 has a multiplier exp(2πr)."""
 
