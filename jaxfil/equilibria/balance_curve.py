@@ -110,15 +110,16 @@ def _walls(varied: Varied, u: Array) -> Array:
 
 
 @eqx.filter_jit
-def _in_mode(varied: Varied, after: Array, u: Array) -> tuple[Varied, Array, Array]:
+def _in_mode(varied: Varied, after: Array, u: Array, scale: Array) -> tuple[Varied, Array, Array]:
     """The same in another mode, with the unknowns of a boundary equilibrium, and whether it is an
-    equilibrium there."""
+    equilibrium there, given their scales."""
     balance, z = varied.at(u)
     z = balance.unknowns_in(after, z)
     beside = Varied(dataclasses.replace(varied.balance, mode=after), varied.parameter)
-    found = evaluation(Balance(balance.system, after, balance.affine), z, abs(z))
-    balances = found.size(found.equation_scale) < jnp.finfo(z.dtype).eps ** 0.5
-    return beside, jnp.append(z, u[-1]), balances
+    there = Balance(balance.system, after, balance.affine)
+    residual, jacobian = there.residual(z), jax.jacfwd(there.residual)(z)
+    rounding = jnp.finfo(z.dtype).eps ** 0.5 * (abs(jacobian) @ scale[:-1])
+    return beside, jnp.append(z, u[-1]), jnp.all(abs(residual) <= rounding)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -211,7 +212,7 @@ class BalanceCurve(Curve[EquilibriumPoint]):
         equilibria of the system."""
         if last.met is None:
             return None
-        beside, u = self._beyond(last.u, last.met)
+        beside, u = self._beyond(last, last.met)
         if beside is None:
             return None
         scale = beside.metric(dataclasses.replace(last, u=u))
@@ -226,31 +227,32 @@ class BalanceCurve(Curve[EquilibriumPoint]):
         kind = "persistence" if same else "nonsmooth-fold"
         return beside, point, Special(kind, last, self.mode, beside.mode)
 
-    def _beyond(self, u: np.ndarray, j: int) -> "tuple[BalanceCurve | None, np.ndarray]":
+    def _beyond(self, last: EquilibriumPoint, j: int) -> "tuple[BalanceCurve | None, np.ndarray]":
         """The curve of the mode on the other side of the boundary at surface j, and a boundary
         equilibrium in its unknowns."""
-        balance, side = self.varied.balance, self.mode[j]
+        balance, side, u = self.varied.balance, self.mode[j], last.u
         place = u.size - 1 - self.mode.size + j
         if side == 0:
-            return self._in(np.sign(u[place]), u, j)[:2]
+            return self._in(np.sign(u[place]), last, j)[:2]
         if abs(side) == 2:
-            return self._in(np.sign(side), u, j)[:2]
+            return self._in(np.sign(side), last, j)[:2]
         if balance.system.resets and bool(_walls(self.varied, array_of(u))[j]):
-            return self._in(2 * side, u, j)[:2]
+            return self._in(2 * side, last, j)[:2]
         # A field that balances on both sides is continuous.
-        beside, there, balances = self._in(-side, u, j)
+        beside, there, balances = self._in(-side, last, j)
         if balances:
             return beside, there
-        return self._in(0.0, u, j)[:2] if balance.system.slides else (None, u)
+        return self._in(0.0, last, j)[:2] if balance.system.slides else (None, u)
 
     def _in(
-        self, mode_of_one: float, u: np.ndarray, j: int
+        self, mode_of_one: float, last: EquilibriumPoint, j: int
     ) -> "tuple[BalanceCurve, np.ndarray, bool]":
         """The curve of another mode of surface j, its unknowns at a boundary equilibrium, and
         whether it is an equilibrium in that mode too."""
         after = self.mode.copy()
         after[j] = mode_of_one
-        varied, there, balances = _in_mode(self.varied, array_of(after, u.dtype), array_of(u))
+        u, scale = array_of(last.u), array_of(last.scale)
+        varied, there, balances = _in_mode(self.varied, array_of(after, u.dtype), u, scale)
         return dataclasses.replace(self, varied=varied), np.array(there), bool(balances)
 
 

@@ -25,8 +25,10 @@ from jaxfil.xla.known import array_of, compiled_if_traced
 from jaxfil.xla.select import select
 from jaxfil.xla.thresholds import EQUATIONS
 
-# The least scale of a component.
+# The least scale of a component, as a part of the change that alters an equation by its terms.
 _SMALL = 1e-3
+# A component that is zero, and moves by less than this many eps from there, is zero to rounding.
+_ZERO = 0.256
 _MODES = (-2, -1, 0, 1, 2)
 
 
@@ -126,8 +128,8 @@ def in_mode(
     system: System, x: Array, mode: Array | None, newton_steps: Array, m: int, affine: bool
 ) -> Equilibrium:
     """`equilibrium` of checked arguments; None stands for the mode of the guess."""
-    balance, z, scale = _beginning(system, x, mode, m, affine)
-    equations = _AtRest(balance.mode, scale, newton_steps, affine)
+    balance, z, least = _beginning(system, x, mode, m, affine)
+    equations = _AtRest(balance.mode, least, newton_steps, affine)
     z, root = solve_implicit(equations, system, z)
     return equilibrium_of(balance, z, root)
 
@@ -136,7 +138,7 @@ def in_mode(
 def _beginning(
     system: System, x: Array, mode: Array | None, m: int, affine: bool
 ) -> tuple[Balance, Array, Array]:
-    """The mode, the first unknowns and their scales."""
+    """The mode, the first unknowns and their least scales."""
     if mode is None:
         mode = _mode_of(system, x, m)
     balance, off = Balance(system, mode, affine), abs(mode) == 1
@@ -149,12 +151,16 @@ def _beginning(
     best = first - jnp.linalg.solve(gram, by_first.T @ force)
     best = select(jnp.all(jnp.isfinite(best)), best, first)
     z = jnp.concatenate([x, select(off, mode, best)])
-    return balance, z, scales(z, m)
+    residual, jacobian = balance.residual(z), jax.jacfwd(balance.residual)(z)
+    step = jnp.linalg.solve(jacobian, residual)
+    # Nothing else shows the rounding of terms that cancel there.
+    nothing = (z == 0) & (abs(step) <= _ZERO * jnp.finfo(z.dtype).eps)
+    return balance, z, select(nothing, jnp.full_like(z, _SMALL), sizes(z, m))
 
 
-def scales(z: Array, m: int) -> Array:
-    """Scales of unknowns: sizes of components, one for weights."""
-    size = jnp.maximum(abs(z), _SMALL)
+def sizes(z: Array, m: int) -> Array:
+    """Sizes of components, one at least for weights."""
+    size = abs(z)
     return select(jnp.arange(z.shape[0]) < z.shape[0] - m, size, jnp.maximum(size, 1.0))
 
 
@@ -191,11 +197,25 @@ def equilibrium_of(balance: Balance, z: Array, root: Root) -> Equilibrium:
     )
 
 
-def evaluation(balance: Balance, z: Array, scale: Array) -> Evaluation:
-    """The equations in the form for Newton's method."""
+def evaluation(balance: Balance, z: Array, least: Array) -> Evaluation:
+    """The equations in the form for Newton's method, with the least scales of the unknowns."""
     residual, jacobian = balance.residual(z), jax.jacfwd(balance.residual)(z)
-    unknowns = jnp.maximum(scale, scales(z, balance.mode.shape[0]))
-    return relative(residual, jacobian, unknowns)
+    unknowns = jnp.maximum(least, sizes(z, balance.mode.shape[0]))
+    # A component may be small beside the others of which it is made. One that is zero has the size
+    # of these, found from equation to equation.
+    columns = abs(jacobian)
+
+    def reach(unknowns: Array) -> Array:
+        terms = (columns @ unknowns + abs(residual))[:, None]
+        matters = (columns > 0) & (terms > 0)
+        least = jnp.min(select(matters, terms / select(matters, columns, 1), jnp.inf), axis=0)
+        return select(jnp.isfinite(least), least, 0)
+
+    def known(_: Array, unknowns: Array) -> Array:
+        return select(unknowns > 0, unknowns, reach(unknowns))
+
+    unknowns = jnp.maximum(unknowns, _SMALL * reach(jax.lax.fori_loop(0, z.size, known, unknowns)))
+    return relative(residual, jacobian, select(unknowns > 0, unknowns, 1))
 
 
 def relative(residual: Array, jacobian: Array, unknowns: Array) -> Evaluation:
@@ -209,7 +229,7 @@ class _AtRest(Equations):
     """The equations of an equilibrium of a given system, in a mode."""
 
     mode: Array
-    scale: Array
+    least: Array
     newton_steps: Array
     affine: bool = eqx.field(static=True)
 
@@ -221,7 +241,7 @@ class _AtRest(Equations):
     def solve(self, system: System, guess: Array) -> tuple[Array, Array, Root]:
         """Newton's iteration."""
         balance = self.balance(system)
-        root = newton(lambda z: evaluation(balance, z, self.scale), guess, self.newton_steps)
+        root = newton(lambda z: evaluation(balance, z, self.least), guess, self.newton_steps)
         return root.z, root.at.jacobian, root
 
     @eqx.filter_jit

@@ -19,7 +19,8 @@ _LOCATED = 1e-12
 # these weights at as many distances.
 _ASIDE = (1e-10, 1e-4, 1e-3)
 _WEIGHTS = {1: 2 / 3, -1: 2 / 3, 2: -1 / 6, -2: -1 / 6}
-# A test function below this is zero, a determinant of numbers of order one, known to rounding.
+# A test function below this is zero, a determinant of numbers of order one, known to rounding; of
+# one that is smaller at both of two neighbours, this part of that.
 _ZERO = 1e-13
 # A test function at its zero is below this fraction of its values at the neighbours.
 _CROSSED = 1e-2
@@ -94,7 +95,7 @@ def _zero(
     """The fraction of the distance between two points at which a test function changes its sign, by
     Alefeld, Potra and Shi's algorithm 748, or None if the curve is lost, and the last point on
     it."""
-    last = None
+    last, zero = None, _ZERO * min(1.0, max(abs(test(a)), abs(test(b))))
 
     def value(part: float) -> float:
         nonlocal last
@@ -106,7 +107,7 @@ def _zero(
         if place is None or not np.isfinite(found):
             raise _Lost
         last = place.point
-        return found if abs(found) > _ZERO else 0.0
+        return found if abs(found) > zero else 0.0
 
     try:
         part: Any = scipy.optimize.toms748(value, 0.0, 1.0, xtol=_LOCATED / _distance(a, b))

@@ -1,5 +1,6 @@
 """Branches of equilibria and what bounds them, against closed forms."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -154,3 +155,52 @@ def test_a_branch_that_does_not_begin_has_the_outcome_of_its_start():
     branch = jf.continue_equilibrium(system, "mu", lost, stop=0.1, throw=False)
     assert branch.result == jf.RESULTS.nonfinite
     assert branch.values.tolist() == [0.8]
+
+
+class Feedback(jf.System):
+    """c' = s/(1 + (a/K)²) − 0.05 c, a' = c − 0.1 a, and a fifth less of c in it beyond a = θ."""
+
+    s: jax.Array
+    K: jax.Array
+    theta: jax.Array
+
+    def vector_field(self, t, x, side):
+        made = jnp.where(side > 0, 1.0, 0.8) * x[0]
+        return jnp.stack([self.s / (1 + (x[1] / self.K) ** 2) - 0.05 * x[0], made - 0.1 * x[1]])
+
+    def switching(self, t, x):
+        return self.theta - x[1]
+
+
+def feedback(s, unit):
+    return Feedback(*(jnp.asarray(v * unit) for v in (s, 10.0, 12.0)))
+
+
+def below(s):
+    """The state below θ: a/K is the real root of u³ + u = 20 s."""
+    u = np.roots([1, 0, 1, -20 * s])
+    u = np.real(u[np.argmin(abs(np.imag(u)))])
+    return np.array([u, 10 * u])
+
+
+def test_an_equilibrium_is_as_accurate_in_every_unit():
+    """In pmol/l, in mol/l and beyond."""
+    right = below(0.13)
+    guesses = jnp.asarray([[0.3, 3.0], [2.0, 0.4], [0.0, 0.0], [0.0, 1.0]])
+    for unit in (1.0, 1e-12, 1e30):
+        system = feedback(0.13, unit)
+        find = lambda x: jf.equilibrium(system, x, mode=1, throw=False)  # noqa: E731, B023
+        found = eqx.filter_vmap(find)(unit * guesses * right)
+        assert_allclose(found.x / (unit * right), 1, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-12])
+def test_a_branch_is_the_same_in_every_unit(unit):
+    """It is held at θ from s = 0.06 (1 + 1.2²) on, and beyond it from 5/4 of that on."""
+    first = 0.06 * (1 + 1.2**2)
+    start = jf.equilibrium(feedback(0.12, unit), jnp.asarray(unit * below(0.12)))
+    branch = jf.continue_equilibrium(start.system, "s", start, stop=0.2 * unit)
+    assert happened(branch) == [("persistence", (1,), (0,)), ("persistence", (0,), (-1,))]
+    places = [point.value / unit for point in branch.points]
+    assert_allclose(places, [first, 1.25 * first], rtol=1e-12)
+    assert np.all(branch.equilibria.admissible)
