@@ -76,11 +76,11 @@ class EquilibriumBranch(eqx.Module):
     def at(self, value: float) -> list[Equilibrium]:
         """The equilibria of the branch at a value of the parameter, in its order."""
         found, modes = [], np.asarray(self.equilibria.mode)
-        xs = np.asarray(self.equilibria.x)
-        folds = [
-            (p.index, p.value, np.asarray(p.equilibrium.x)) for p in self.points if p.kind == "fold"
-        ]
-        for i, x in crossings(np.asarray(self.values), xs, value, folds):
+        turns = [p for p in self.points if p.kind == "fold"]
+        xs = np.asarray([*np.asarray(self.equilibria.x), *(p.equilibrium.x for p in turns)])
+        folds = [(p.index, p.value) for p in turns]
+        for i, a, b, part in crossings(np.asarray(self.values), value, folds):
+            x = xs[a] + part * (xs[b] - xs[a])
             system = replace_parameter(part_of(self.equilibria.system, i), self.parameter, value)
             # Between two equilibria on both sides of a boundary the mode is the one before it.
             found.append(equilibrium(system, jnp.asarray(x), mode=modes[i]))

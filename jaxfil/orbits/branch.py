@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 from jaxfil.model import dataset_io
 from jaxfil.model.card import outcome, precision
 from jaxfil.model.drawing import draw
-from jaxfil.model.outcomes import RESULTS
+from jaxfil.model.outcomes import RESULTS, is_successful
 from jaxfil.model.parameter import replace_parameter
 from jaxfil.model.types import Axes, Dataset, PathLike
 from jaxfil.orbits.branch_arrays import branch_arrays
@@ -16,6 +16,7 @@ from jaxfil.orbits.chattering import rests_in
 from jaxfil.orbits.curve import crossings
 from jaxfil.orbits.orbit import Orbit
 from jaxfil.orbits.periodic_orbit import periodic_orbit
+from jaxfil.orbits.phase_shift import quiet_between, state_at
 from jaxfil.xla.known import part_of
 
 
@@ -95,28 +96,55 @@ class Branch(eqx.Module):
         each from its neighbours on the branch, and raises an error if it fails."""
         found, t0 = [], self.orbits.options.t0
         # A special point may be at another phase.
-        folds = [
-            (p.index, p.value, np.asarray(p.orbit.x0))
-            for p in self.points
-            if p.kind == "fold" and np.all(p.orbit.options.t0 == t0)
-        ]
-        for i, x in crossings(np.asarray(self.values), np.asarray(self.orbits.x0), value, folds):
-            one = part_of(self.orbits, i)
-            period = None if one.system.period is not None else one.period
-            found.append(
-                periodic_orbit(
-                    replace_parameter(one.system, self.parameter, value),
-                    jnp.asarray(x),
-                    periods=self.periods,
-                    period=period,
-                    t0=one.options.t0,
-                    steps=one.options.steps // self.periods,
-                    stepper=one.options.stepper,
-                    segments=one.options.arcs,
-                    max_events=one.options.max_events,
-                )
+        turns = [p for p in self.points if p.kind == "fold" and np.all(p.orbit.options.t0 == t0)]
+        folds, count = [(p.index, p.value) for p in turns], len(self.values)
+        for i, *beside, part in crossings(np.asarray(self.values), value, folds):
+            a, b = (
+                part_of(self.orbits, j) if j < count else turns[j - count].orbit for j in beside
             )
+            found.append(self._between(part_of(self.orbits, i), a, b, part, value))
         return found
+
+    def _between(self, one: Orbit, a: Orbit, b: Orbit, part: float, value: float) -> Orbit:
+        """The orbit at a value of the parameter between two neighbours, one of which has its
+        options."""
+        t0 = float(np.ravel(self.orbits.options.t0)[0])
+        quiet = quiet_between(a, b, t0)
+        if quiet is None:
+            x0 = np.asarray(a.x0) + part * (np.asarray(b.x0) - np.asarray(a.x0))
+            return self._found(one, x0, value, one.options.t0, one.period)
+        # The state at t0 jumps between them, but not at a phase that no contact passes.
+        x, y = (np.asarray(state_at(v, t0, quiet)) for v in (a, b))
+        known = replace_parameter(one.system, self.parameter, value).period
+        period = float(one.period) if known is None else self.periods * float(known)
+        orbit = self._found(one, x + part * (y - x), value, t0 + quiet * period, one.period)
+        x0 = np.asarray(state_at(orbit, t0, 0.0))
+        back = self._found(one, x0, value, t0, orbit.period, throw=False)
+        # An orbit with a contact just there is shot from elsewhere.
+        return back if is_successful(back.result) else orbit
+
+    def _found(
+        self,
+        one: Orbit,
+        x0: np.ndarray,
+        value: float,
+        t0: Array | float,
+        period: Array,
+        throw: bool = True,
+    ) -> Orbit:
+        """The orbit near a state, with the options of one of the branch."""
+        return periodic_orbit(
+            replace_parameter(one.system, self.parameter, value),
+            jnp.asarray(x0),
+            periods=self.periods,
+            period=None if one.system.period is not None else period,
+            t0=t0,
+            steps=one.options.steps // self.periods,
+            stepper=one.options.stepper,
+            segments=one.options.arcs,
+            max_events=one.options.max_events,
+            throw=throw,
+        )
 
     def extremes(self) -> tuple[np.ndarray, np.ndarray]:
         """The smallest and the largest value of each component on every orbit, each (k, n)."""

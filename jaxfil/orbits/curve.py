@@ -99,25 +99,29 @@ def least_scales(at_start: np.ndarray, place: int, ends: list[float]) -> np.ndar
 
 
 def crossings(
-    values: np.ndarray, xs: np.ndarray, value: float, folds: list[tuple[int, float, np.ndarray]]
-) -> Iterator[tuple[int, Float[np.ndarray, " n"]]]:
-    """Where a branch of points with these values and states takes a value: the number of the point
-    at it or before it, and the state between that one and the next. Each fold is the number of the
-    point after it, its value and its state; the branch turns back there."""
-    places, turns = [i for i, *_ in folds], [v for _, v, _ in folds]
+    values: np.ndarray, value: float, folds: list[tuple[int, float]]
+) -> Iterator[tuple[int, int, int, float]]:
+    """Where a branch of points with these values takes a value: the number of the point at it or
+    before it; the numbers of its neighbours, with the folds behind all points; and how far it is
+    from the first of them to the second one, as a part of their distance. Each fold is the number
+    of the point after it, and its value; the branch turns back there."""
+    places, turns = [i for i, _ in folds], [v for _, v in folds]
     numbers = np.insert(np.arange(len(values)), places, [i - 1 for i in places])
+    which = np.insert(np.arange(len(values)), places, len(values) + np.arange(len(folds)))
     ahead = np.insert(values, places, turns) - value
-    xs = np.insert(xs, places, [x for *_, x in folds], axis=0) if folds else xs
-    folded = np.insert(np.zeros(len(values), bool), places, True)
+    folded = which >= len(values)
     after = np.append(ahead[1:], np.nan)
     for i in np.flatnonzero((ahead * after < 0) | ((ahead == 0) & ~folded)).tolist():
-        part = 0.0 if ahead[i] == 0 else ahead[i] / (ahead[i] - after[i])
+        part, j = (
+            0.0 if ahead[i] == 0 else ahead[i] / (ahead[i] - after[i]),
+            min(i + 1, len(which) - 1),
+        )
         # Beside a fold the value is the square of the distance from it.
         if folded[i]:
             part = part**0.5
-        elif folded[min(i + 1, len(xs) - 1)]:
+        elif folded[j]:
             part = 1 - (1 - part) ** 0.5
-        yield int(numbers[i]), xs[i] + part * (xs[min(i + 1, len(xs) - 1)] - xs[i])
+        yield int(numbers[i]), int(which[i]), int(which[j]), float(part)
 
 
 _Point = TypeVar("_Point", bound=CurvePoint)

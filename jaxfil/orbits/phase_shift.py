@@ -12,11 +12,12 @@ from jaxtyping import Array
 
 from jaxfil.integrate.lane.problem import NOTHING
 from jaxfil.integrate.loop.iterate import integrate
-from jaxfil.integrate.run.solution import switches
+from jaxfil.integrate.run.solution import Events, switches
 from jaxfil.integrate.system.components import pack
 from jaxfil.model.system import System
 from jaxfil.orbits.closing import OrbitProblem
 from jaxfil.orbits.corrector import OrbitPoint
+from jaxfil.orbits.orbit import Orbit
 from jaxfil.xla.known import array_of
 
 # A contact is at the phase if it is nearer than this fraction of the period.
@@ -27,15 +28,48 @@ def contact_phases(problem: OrbitProblem, point: OrbitPoint) -> np.ndarray:
     """The phases of contacts and ticks after t0, as fractions of the period from 0 to 1,
     ascending."""
     system, period = _setting(problem, point)
-    events, ts = point.shot.events, []
+    return _phases(system, point.shot.events, float(problem.options.t0), period)
+
+
+def _phases(system: System, events: Events | None, t0: float, period: float) -> np.ndarray:
+    ts = []
     if events is not None:
         ts.append(np.asarray(events.ts)[switches(events)])
     # The events of a system without surfaces are not recorded.
     for clock in system.clocks:
         step = float(clock.period)
         ts.append(float(clock.phase) + step * np.arange(np.ceil(period / step)))
-    phases = (np.concatenate([np.zeros(0), *ts]) - float(problem.options.t0)) / period
-    return np.sort(phases % 1.0)
+    return np.sort((np.concatenate([np.zeros(0), *ts]) - t0) / period % 1.0)
+
+
+def quiet_between(a: Orbit, b: Orbit, t0: float) -> float | None:
+    """The middle of the longest time in which neither of two neighbours on a branch has a contact
+    or a tick, as a fraction of the period after t0, if one of these passes t0 between them, or if
+    one of the two starts elsewhere; otherwise None."""
+    first, second = (_phases(v.system, v.events, t0, float(v.period)) for v in (a, b))
+    if not first.size or first.size != second.size:
+        return None
+
+    def turned(shift: int) -> np.ndarray:
+        number = np.arange(first.size) + shift
+        return second[number % first.size] + number // first.size
+
+    # Each contact of one belongs to the nearest of the other, in the same order.
+    shifts = sorted(range(-first.size, first.size + 1), key=abs)
+    best = min(shifts, key=lambda shift: np.max(abs(turned(shift) - first)))
+    if best == 0 and float(a.options.t0) == float(b.options.t0):
+        return None
+    low, high = np.maximum(first, turned(best)), np.minimum(first, turned(best))
+    gaps = np.append(high[1:], high[0] + 1) - low
+    longest = int(np.argmax(gaps))
+    return float((low[longest] + 0.5 * gaps[longest]) % 1.0)
+
+
+def state_at(orbit: Orbit, t0: float, part: float) -> Array:
+    """The state of an orbit at a fraction of its period after t0."""
+    start, period = float(orbit.options.t0), float(orbit.period)
+    t = start + (t0 + part * period - start) % period
+    return orbit.states(array_of([t], orbit.x0.dtype))[0]
 
 
 def _setting(problem: OrbitProblem, point: OrbitPoint) -> tuple[System, float]:

@@ -440,6 +440,46 @@ def test_an_impact_passes_the_phase_of_shooting(t0):
             assert min(abs(x0 - x).max() for x in seen) < 1e-6
 
 
+class Firing(jf.System):
+    """v' = I + cos(2πt)/2 − v, from 1 to 0 at once. It fires at the time θ of each period where
+    (1 − 1/e) (I + q(θ)/2) = 1."""
+
+    drive: jax.Array
+    slides = False
+    period = 1.0
+
+    def vector_field(self, t, x, side):
+        return self.drive + 0.5 * jnp.cos(2 * jnp.pi * t) - x
+
+    def switching(self, t, x):
+        return 1 - x[0]
+
+    def reset(self, t, x, surface):
+        return 0 * x
+
+
+def firing_at(theta):
+    """The drive of this θ, and v at t = 0."""
+    q = lambda t: (np.cos(2 * np.pi * t) + 2 * np.pi * np.sin(2 * np.pi * t)) / (1 + 4 * np.pi**2)  # noqa: E731
+    drive = 1 / (1 - np.exp(-1)) - 0.5 * q(theta)
+    return drive, drive + 0.5 * q(0) - (drive + 0.5 * q(theta)) * np.exp(-(-theta % 1))
+
+
+@pytest.mark.slow
+def test_orbits_at_values_where_a_contact_passes_the_phase_of_shooting():
+    """v(0) jumps from 0 to 1 between two neighbours; another orbit has a v(0) between."""
+    drive, v = firing_at(-0.1)
+    orbit = jf.periodic_orbit(Firing(jnp.asarray(drive)), jnp.asarray([v]), steps=20)
+    branch = jf.continue_orbit(orbit.system, "drive", orbit, stop=firing_at(0.1)[0])
+    i = int(np.argmax(abs(np.diff(branch.orbits.x0[:, 0]))))
+    assert abs(branch.orbits.x0[i + 1, 0] - branch.orbits.x0[i, 0]) > 0.9
+    for theta in (-2e-4, 2e-4, 8e-4, 1.5e-3):
+        drive, v = firing_at(theta)
+        (found,) = branch.at(drive)
+        assert_allclose(found.x0, [v], rtol=0, atol=1e-9)
+        assert bool(found.stable)
+
+
 class Ticked(jf.System):
     """x' = −x, and x + 1 at the time late in each period, without a surface."""
 
