@@ -28,6 +28,9 @@ class RMS(_OfFunction):
 
     $$g_\mathrm{rms} = \Bigl(\frac{1}{T} \int g(t, x(t), \mathrm{side}(t))^2\, dt\Bigr)^{1/2}$$
 
+    On a slide g is the blend of both sides, whose square is taken: of the force of a brake that
+    holds it is the holding force, and not the limit that both sides have.
+
     **Arguments**
 
     - `function`: g, as in `jf.average`.

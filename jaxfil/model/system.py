@@ -67,6 +67,9 @@ class System(eqx.Module):
     """Units of components, parameters and the time `t`, by name; empty by default."""
     # Whether `vector_field` receives the mode of motion, for observed functions.
     _observes_mode: ClassVar[bool] = False
+    # Numbers of `vector_field` whose square is the rate of the motion, taken after the blend of a
+    # slide and the reactions of a rest.
+    _squared: ClassVar[tuple[int, ...]] = ()
 
     def __check_init__(self):
         check_numbers(self)

@@ -255,6 +255,7 @@ def test_on_a_slide_it_is_the_blend_that_is_averaged(tmp_path):
     values = {
         "work": lambda t, x, side, system: system.force * side * jnp.cos(t),
         "share": lambda t, x, side: 0.5 * (1 + side),
+        "side": jf.RMS(lambda t, x, side: side),
         "farthest": jf.Maximum(lambda t, x, side: x[0]),
         "hold": jf.Minimum(lambda t, x, side: jnp.cos(t) * side),
         "contacts": jf.EventSum(lambda t, before, after, surfaces: surfaces),
@@ -276,6 +277,9 @@ def test_on_a_slide_it_is_the_blend_that_is_averaged(tmp_path):
         slides = a**2 * ((np.pi - (t2 - t1)) - 0.5 * (np.sin(2 * t2) - np.sin(2 * t1)))
         np.testing.assert_allclose(found.averages["work"][i], (flights + slides) / (2 * np.pi))
         np.testing.assert_allclose(found.averages["share"][i], 0.5, rtol=1e-12)
+        # side² is 1 in a flight and (A cos t)² on a slide, where that of both sides is 1.
+        side = np.sqrt((2 * (t2 - t1) + slides) / (2 * np.pi))
+        np.testing.assert_allclose(found.averages["side"][i], side, rtol=1e-12)
         top = height(-t1, a, t1)
         np.testing.assert_allclose(found.averages["farthest"][i], top, rtol=1e-12)
         # Where it has gone too far to come back before the force has turned.
@@ -290,6 +294,59 @@ def test_on_a_slide_it_is_the_blend_that_is_averaged(tmp_path):
         sweep({"share": jf.RMS(values["share"])})
     one = sweep(values["work"], checkpoint=None)
     np.testing.assert_array_equal(one.averages["average"], found.averages["work"])
+
+
+class Part(jf.System):
+    """A part that never leaves a table at 0.6 sin t, with gravity one."""
+
+    amplitude: jax.Array
+    slides = False
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -jnp.ones_like(t)])
+
+    def switching(self, t, x):
+        return x[0] - self.amplitude * jnp.sin(t)
+
+    def reset(self, t, x, surface):
+        return jnp.stack([x[0], self.amplitude * jnp.cos(t)])
+
+
+LEVELS = (np.arange(12) - 5.5) / 6
+
+
+class Quantizer(jf.System):
+    """x″ = −x, read by twelve comparators; it crosses all and slides on none."""
+
+    slides = False
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -x[0]])
+
+    def switching(self, t, x):
+        return x[0] - LEVELS
+
+
+@pytest.mark.release
+def test_root_mean_squares_of_reactions_and_of_many_sides():
+    """The function is affine in them, as it must be, and its square is not. The pressure is
+    1 − a sin t, and the staircase has its value between two levels for the time that cos t is
+    there."""
+
+    def rms(system, function, x0):
+        run = dict(transient=0, samples=1, steps=40, compact=True, stepper=jf.RK4())
+        average = {"it": jf.RMS(function)}
+        return jf.settled_average(system, average, jnp.array(x0), **run).averages["it"]
+
+    pressure = rms(Part(jnp.array(0.6)), lambda t, x, reaction: reaction, [0.0, 0.6])
+    np.testing.assert_allclose(pressure, np.sqrt(1 + 0.6**2 / 2), rtol=1e-12)
+    stairs = rms(Quantizer(), lambda t, x, side: jnp.sum(side) / 12, [1.0, 0.0])
+    shares = -np.diff(np.arccos([-1.0, *LEVELS, 1.0])) / np.pi
+    exact = np.sqrt(shares @ ((2 * np.arange(13) - 12) / 12) ** 2)
+    # The error of RK4 in the times of the crossings.
+    np.testing.assert_allclose(stairs, exact, rtol=1e-5)
 
 
 @pytest.mark.release

@@ -290,10 +290,10 @@ def _motion(
         f = filippov.blend_fields(system, fields, mode, shares)
         if fields.flipped is not None and not system.slides:
             # A sum of changes has their rounding, beside which a field that is zero is not small.
-            f = system.field(t, x, unilateral.sides_of(mode), forcing=forcing)
+            f = system.field(t, x, unilateral.sides_of(mode), forcing=forcing, term=True)
     f = system.hold(where(blind, jnp.nan, f))
     # The field of a `balance` contains the reactions.
-    f = f if together else with_reactions(system, t, x, mode, f)
+    f = system.squared(f if together else with_reactions(system, t, x, mode, f))
     g, rate, noise = guards(system, t, x, f, mode, at.noise, forcing)
     return Motion(tau, x, f, at.scale, mode, g, rate, noise, determinant)
 

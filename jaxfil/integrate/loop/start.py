@@ -223,6 +223,7 @@ def _start(problem: Problem, x: Components) -> Start:
         f = filippov.field(system, t, x, mode)
     else:
         f = with_reactions(system, t, x, mode, filippov.free_field(system, t, x, mode))
+        f = system.squared(f)
     known = stop_gradient((system, t, x, f, mode, noise))
     g, rate, noise = guards(*known, stop_gradient(system.forcing_at(t)))
     # As in `rearmed`, the guard of a surface that the motion leaves at once starts at exactly zero

@@ -52,19 +52,6 @@ class _OfSystem(eqx.Module):
         return own.replace(parameters=[v for k, v in own.parameters.items() if k != "system"])
 
 
-class _Square(eqx.Module):
-    """The square of a function."""
-
-    function: Callable[..., Any]
-
-    def __call__(self, *args: Any) -> Any:
-        return jnp.square(self.function(*args))
-
-    @property
-    def __signature__(self) -> inspect.Signature:
-        return inspect.signature(self.function)
-
-
 def _with_system(function: Callable[..., Any], system: System) -> Callable[..., Any]:
     """A user's function with the system of its lane bound, if it takes one."""
     signature = signature_of(function)
@@ -160,10 +147,11 @@ class Averaging(eqx.Module):
         """A system that carries the integrals behind its state, and that state: x and zeros."""
         wider = system
         for one in self._integrated:
-            rate = one.function(system)
-            rate = _Square(rate) if isinstance(one.quantity, RMS) else rate
-            # Each integral is one more component at the end, of a function of the first n.
-            wider, x = with_rate(wider, one.observed(rate, self.n), x)
+            # Each integral is one more component at the end, of a function of the first n. A
+            # square is taken of the value along the motion, which is the holding force of a brake,
+            # whose values on both sides have the same square.
+            rate, squared = one.function(system), isinstance(one.quantity, RMS)
+            wider, x = with_rate(wider, one.observed(rate, self.n), x, squared=squared)
         return wider, x
 
     def section(self, section: Section) -> Section:

@@ -76,6 +76,7 @@ class _WithRate(System):
     system: System
     function: Observe
     n: int = eqx.field(static=True)
+    squares: int = eqx.field(static=True, default=0)
 
     def vector_field(
         self,
@@ -104,6 +105,10 @@ class _WithRate(System):
     @property
     def _observes_mode(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
         return "mode" in asked_of(self.function) or self.system._observes_mode
+
+    @property
+    def _squared(self) -> tuple[int, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return (*self.system._squared, *range(self.n, self.n + self.squares))
 
     def switching(self, t: Array, x: Array) -> Array:
         return self.system.switching(t, x[: self.n])
@@ -138,11 +143,15 @@ class _WithRate(System):
         return self.system.clocks
 
 
-def with_rate(system: System, observable: Observable, x: Array) -> tuple[System, Array]:
-    """A system with extra components whose rate is the observable, and its state: x and zeros."""
+def with_rate(
+    system: System, observable: Observable, x: Array, *, squared: bool = False
+) -> tuple[System, Array]:
+    """A system with extra components whose rate is the observable, or its square if `squared`, and
+    its state: x and zeros."""
     # x may end in components of earlier observables, which count as a part of the state here. The
     # function does not see them if it is an `OfState`.
-    wider = _WithRate(system, observable.function, x.shape[0])
+    squares = observable.size if squared else 0
+    wider = _WithRate(system, observable.function, x.shape[0], squares)
     return wider, jnp.concatenate([x, jnp.zeros((observable.size,), x.dtype)])
 
 

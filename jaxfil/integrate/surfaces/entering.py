@@ -142,5 +142,9 @@ def _by_weights(at: _Start, mode: Components, off: Components) -> Components:
         held = filippov.balance(system, t, x, mode, fields, rates)
         fields, rates, mode = held.fields, held.rates, held.mode
     w, change = weights(mode, rates), response(mode, rates, off)
-    _, moved = jax.jvp(lambda w: filippov.blend_fields(system, fields, mode, w), (w,), (change,))
+
+    def field(w: Components) -> Components:
+        return system.squared(filippov.blend_fields(system, fields, mode, w))
+
+    _, moved = jax.jvp(field, (w,), (change,))
     return moved

@@ -95,7 +95,7 @@ def corners(
     `forcing` as in `ComponentSystem.field`."""
 
     def field_and_rate(sides: Components) -> tuple[Components, Components]:
-        f = system.field(t, x, sides, alone, forcing)
+        f = system.field(t, x, sides, alone, forcing, term=True)
         return f, system.rate(t, x, f)
 
     return on_corners(field_and_rate, system, corner_sides(system))
@@ -112,10 +112,11 @@ def field(
     `ComponentSystem.field`."""
     system = system.in_mode(mode)
     if holds_together(system):
-        return balance(system, t, x, mode, *corners(system, t, x, True, forcing)).field
+        f = balance(system, t, x, mode, *corners(system, t, x, True, forcing)).field
+        return system.squared(f)
     # Here weights do not depend on reactions, so these are added to the field with the weights.
     f = free_field(system, t, x, mode, forcing)
-    return unilateral.held_field(system, t, x, mode, f)[0] if system.resets else f
+    return system.squared(unilateral.held_field(system, t, x, mode, f)[0] if system.resets else f)
 
 
 def holds_together(system: ComponentSystem) -> bool:
@@ -192,12 +193,11 @@ def free_field(
     mode: Components,
     forcing: Forcing | None = None,
 ) -> Components:
-    """`field` without the reactions of resting surfaces."""
+    """`field` without the reactions of resting surfaces, before it is squared."""
     system = system.in_mode(mode)
     if not system.slides:
-        # A rest has the mode ±2, and fields take its side.
-        sides = unilateral.sides_of(mode) if system.resets else mode
-        return system.field(t, x, sides, True, forcing)
+        sides = unilateral.sides_of(mode) if system.resets else mode  # a rest has the mode ±2
+        return system.field(t, x, sides, True, forcing, term=True)
     fields, rates = corners(system, t, x, True, forcing)
     return blend_fields(system, fields, mode, weights(mode, rates))
 
@@ -227,8 +227,9 @@ class ModeField(SmoothField):
         if not self.blended:
             # Such a mode consists of sides.
             return self.system.field(t, x, self.mode, True, forcing)
-        choose = field if self.held else free_field
-        return choose(self.system, t, x, self.mode, forcing)
+        if self.held:
+            return field(self.system, t, x, self.mode, forcing)
+        return self.system.squared(free_field(self.system, t, x, self.mode, forcing))
 
     def once(self, function: Callable, *args: Any) -> Any:
         """The same as `ComponentSystem.once`."""
@@ -318,8 +319,7 @@ def free_guard(
     if not system.slides:
         return off
     _, rates = corners(system, t, x, forcing=forcing)
-    w = weights(mode, rates)
-    # The same product as in `guard_together`.
+    w = weights(mode, rates)  # in the same product as in `guard_together`
     return where(mode == 0, (1 - w) * (1 + w), off)
 
 

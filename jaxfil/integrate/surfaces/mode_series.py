@@ -17,6 +17,7 @@ from jaxfil.integrate.steppers.taylor import solved
 from jaxfil.integrate.surfaces import unilateral
 from jaxfil.integrate.system.components import Components, Polynomial, scalars
 from jaxfil.integrate.system.lowered import ComponentSystem
+from jaxfil.integrate.system.squares import squared_series
 from jaxfil.xla.select import select
 from jaxfil.xla.series import (
     Expansion,
@@ -62,6 +63,10 @@ def polynomial(
     spelled = _is_spelled(system)
 
     def functions(time: Series, states: list[Series]) -> tuple[list[Series], list[Series]]:
+        fields, guards = terms(time, states)
+        return squared_series(system.squares, expansion, fields, system.n), guards
+
+    def terms(time: Series, states: list[Series]) -> tuple[list[Series], list[Series]]:
         if blended:
             return _of_slide(system, expansion, time, states, mode)
         sides = unilateral.sides_of(mode) if system.resets else mode

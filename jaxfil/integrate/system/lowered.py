@@ -14,7 +14,6 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
-import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,6 +22,7 @@ from jaxtyping import Array
 from jaxfil.integrate.system import dependencies
 from jaxfil.integrate.system.components import Components, Forcing, on_each, scalars
 from jaxfil.integrate.system.dependencies import Structure
+from jaxfil.integrate.system.fenced import Fenced
 from jaxfil.integrate.system.functions import (
     ParametrizedFunction,
     accelerations,
@@ -41,6 +41,7 @@ from jaxfil.integrate.system.refused import (
     check_sharding,
 )
 from jaxfil.integrate.system.rows import Rows
+from jaxfil.integrate.system.squares import squared
 from jaxfil.model import check
 from jaxfil.model.system import System
 from jaxfil.xla.rounding import rounding_of
@@ -54,15 +55,8 @@ _FEW, _FEW_SURFACES = (12, 2), (1, 1)
 _MANY_SURFACES = 3
 
 
-class ComponentSystem(eqx.Module):
-    """A system on components: n states, m surfaces.
-
-    XLA's CPU backend fuses operations into loops and recomputes a value in the loop of each of its
-    users. Without a fence, a cosine that two stages share would be computed twice, and a stage once
-    for each later stage. XLA sees through `optimization_barrier`, but not through a conditional on
-    a value unknown to it (`once`), nor past a division by a value of each lane, which it considers
-    expensive (`Traced`). Other backends have no fence. Check: count sines in the optimised HLO.
-    """
+class ComponentSystem(Fenced):
+    """A system on components: n states, m surfaces."""
 
     n: int = eqx.field(static=True)
     m: int = eqx.field(static=True)
@@ -93,14 +87,14 @@ class ComponentSystem(eqx.Module):
     _rate_rounding: Any
     clocks: tuple[tuple[Array, Array], ...]
     """Periods and phases of the clocks."""
-    _opaque_one: Array | None
-    """The number 1, opaque to the compiler."""
     window: tuple[Array, Array] | None = None
     """The interval to which times are clamped (see `clocks`)."""
     asks_mode: bool = eqx.field(static=True, default=False)
     """Whether the field takes the mode, for an observable of the motion."""
     mode: Components | None = None
     """The mode passed to the field; None stands for the sides of the evaluation."""
+    squares: tuple[int, ...] = eqx.field(static=True, default=())
+    """Numbers of the field whose square is the rate of a motion (see `squares`)."""
 
     def in_mode(self, mode: Components) -> "ComponentSystem":
         """The system for a motion in this mode."""
@@ -130,31 +124,6 @@ class ComponentSystem(eqx.Module):
         """The fence of a lane's functions (see `ParametrizedFunction`)."""
         return self._switching.fence
 
-    def once(self, function: Callable, *args: Any) -> Any:
-        """`function(*args)`, each argument and each result computed once.
-
-        A conditional that always takes its first branch, on a condition opaque to the compiler.
-        """
-        if self._opaque_one is None:
-            return function(*args)
-
-        def never(*args: Any) -> Any:
-            shapes = jax.eval_shape(function, *args)
-            return jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
-
-        return jax.lax.cond(self._opaque_one > 0, function, never, *args)
-
-    def where_any(self, flag: Array, function: Callable, otherwise: Callable, *args: Any) -> Any:
-        """`function(*args)` if the flag of any lane is set, else `otherwise(*args)`. The two must
-        agree where the flag is unset. On a CPU the other branch is not computed."""
-        if self._opaque_one is None:
-            return function(*args)
-        return jax.lax.cond(eqxi.unvmap_any(flag), function, otherwise, *args)
-
-    def hold(self, values: Any) -> Any:
-        """The same values, each computed once."""
-        return self.once(lambda held: held, values)
-
     def forcing(self, t: Array, h: Array, times: Sequence[float]) -> list[Forcing]:
         """The expensive values of the field that depend on time alone, at t + c·h for each c of
         `times`. Both sides of a surface and all stages at one time share them."""
@@ -183,11 +152,18 @@ class ComponentSystem(eqx.Module):
         sides: Components,
         alone: bool = False,
         forcing: Forcing | None = None,
+        term: bool = False,
     ) -> Components:
         """F(t, x, sides) for sides of exactly ±1, with the values of `forcing` for t if given.
-        `alone` means that the result is used in one vector only, blended or not."""
+        `alone` means that the result is used in one vector only, blended or not, and `term` that it
+        is blended or reactions are added, before its numbers are `squared`."""
         more = (None, *self._seen(sides)) if self.asks_mode else ()
-        return self._field(self.held(t), x, sides, *more, alone=alone, known=forcing)
+        f = self._field(self.held(t), x, sides, *more, alone=alone, known=forcing)
+        return f if term else self.squared(f)
+
+    def squared(self, f: Components) -> Components:
+        """The rate of a motion from its field."""
+        return squared(self.squares, f)
 
     @property
     def feels_reactions(self) -> bool:
@@ -205,7 +181,7 @@ class ComponentSystem(eqx.Module):
     def expanded_field(
         self, expansion: Expansion, t: Series, x: list[Any], sides: Components
     ) -> list[Any]:
-        """Power series of F(t, x, sides)."""
+        """Power series of F(t, x, sides), before its numbers are squared."""
         more = (None, *self._seen(sides)) if self.asks_mode else ()
         return self._field.expanded(expansion, self._held_series(expansion, t), x, sides, *more)
 
@@ -395,5 +371,6 @@ def _build(
         and ParametrizedFunction.of(traced_rate_bounds, leaves, fence),
         clocks=clocks,
         asks_mode=system._observes_mode,
+        squares=system._squared,
         _opaque_one=jax.lax.optimization_barrier(jnp.ones((), dtype)) if on_cpu else None,
     )
