@@ -48,16 +48,21 @@ def for_each(
     return moved.parts[0], Components([out])
 
 
-def gram_schmidt(system: ComponentSystem, frame: Frame, dropped: Array) -> tuple[Frame, Components]:
+def gram_schmidt(
+    system: ComponentSystem, frame: Frame, dropped: Array, projected: Array
+) -> tuple[Frame, Components]:
     """An orthonormal frame, and log R_ii of each vector.
 
     A vector whose part outside of the previous ones is rounding is replaced by an orthogonal one.
     Its logarithm is −inf where a contact or a slide has `dropped` it, with an exact length of zero,
-    and NaN elsewhere, because it is too small to be resolved.
+    and NaN elsewhere, because it is too small to be resolved. A frame that a step along surfaces
+    has `projected` was orthonormal before it, so its vectors have the rounding of a length of one:
+    a vector that is lost as a whole is rounding itself.
     """
+    size = select(projected, 1.0, 0.0).astype(system.dtype)
     # A QR factorisation of LAPACK would end the kernel.
     if not isinstance(frame, tuple):
-        return _gram_schmidt_of_array(system, frame, dropped)
+        return _gram_schmidt_of_array(system, frame, dropped, size)
     done: list[Components] = []
     logs = []
     for v in frame:
@@ -65,14 +70,15 @@ def gram_schmidt(system: ComponentSystem, frame: Frame, dropped: Array) -> tuple
         for _ in range(2):  # the second pass removes the rounding of the first
             for q in done:
                 rest = rest + -dot(q, rest) * q
-        unit, log = _normalised(system, v, rest, lambda: _complement(system, done), dropped)
+        terms = jnp.maximum(_norm(v), size)
+        unit, log = _normalised(system, terms, rest, lambda: _complement(system, done), dropped)
         done.append(unit)
         logs.append(log)
     return tuple(done), Components(logs)
 
 
 def _gram_schmidt_of_array(
-    system: ComponentSystem, frame: Array, dropped: Array
+    system: ComponentSystem, frame: Array, dropped: Array, size: Array
 ) -> tuple[Array, Components]:
     """The same for the rows of an array."""
     rows = jnp.arange(system.n, dtype=jnp.int32)
@@ -91,8 +97,8 @@ def _gram_schmidt_of_array(
     def next_vector(done: Array, turn: tuple[Array, Array]) -> tuple[Array, Array]:
         k, v = turn
         rest = outside(done, outside(done, v))  # the second pass removes the rounding of the first
-        both = Components([v]), Components([rest])
-        unit, log = _normalised(system, *both, lambda: complement(done), dropped)
+        terms, left = jnp.maximum(_norm(Components([v])), size), Components([rest])
+        unit, log = _normalised(system, terms, left, lambda: complement(done), dropped)
         return select((rows == k)[:, None], unit.parts[0], done), log
 
     done, logs = jax.lax.scan(next_vector, jnp.zeros_like(frame), (rows, frame))
@@ -101,15 +107,15 @@ def _gram_schmidt_of_array(
 
 def _normalised(
     system: ComponentSystem,
-    v: Components,
+    terms: Array,
     rest: Components,
     complement: Callable[[], Components],
     dropped: Array,
 ) -> tuple[Components, Array]:
-    """The remaining part of a vector with unit length, and the logarithm of its length; or its
-    replacement."""
+    """The remaining part of a vector of terms of this size with unit length, and the logarithm of
+    its length; or its replacement."""
     length = _norm(rest)
-    lost = length <= LOST_DIRECTION * system.eps * _norm(v)
+    lost = length <= LOST_DIRECTION * system.eps * terms
     length = select(lost, 1.0, length)
     nothing = select(dropped, -jnp.inf, jnp.nan)
     return where(lost, complement(), rest / length), select(lost, nothing, jnp.log(length))

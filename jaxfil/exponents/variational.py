@@ -43,14 +43,16 @@ class Variation(eqx.Module):
     free: Array
     """Whether a step away from contacts and slides has been taken since the last
     orthonormalisation."""
+    projected: Array
+    """The same of a step along surfaces that the motion slides or rests on."""
     growth: Components
     """Σ log R_ii of each vector."""
 
 
 def vary(system: ComponentSystem, state: LoopState, every: Array) -> Variation:
     """A lane with a generic frame, to be orthonormalised every `every` steps."""
-    zero = zeros(system)
-    return Variation(state, generic_frame(system), zero, every, jnp.zeros((), bool), zero)
+    zero, no = zeros(system), jnp.zeros((), bool)
+    return Variation(state, generic_frame(system), zero, every, no, no, zero)
 
 
 def propagate(problem: Problem, every: Array, variation: Variation, stop: Array) -> Variation:
@@ -99,7 +101,8 @@ def _push(problem: Problem, variation: Variation) -> Variation:
     frame, delay = for_each(push, variation.frame, variation.delay)
     left = variation.left - (after.counts.index - state.counts.index)
     free = variation.free | ~(_in_contact(state) | after.pending.waits)
-    return Variation(after, frame, delay, left, free, variation.growth)
+    projected = variation.projected | (state.held & ~state.pending.waits)
+    return Variation(after, frame, delay, left, free, projected, variation.growth)
 
 
 def _in_contact(state: LoopState) -> Array:
@@ -154,11 +157,12 @@ def _orthonormalised(
     if _removes_directions(system):
         due = due | (_in_contact(before) & ~state.pending.waits)
 
-    def as_it_is(frame: Frame, _: Array) -> tuple[Frame, Components]:
+    def as_it_is(frame: Frame, *_: Array) -> tuple[Frame, Components]:
         return frame, zeros(system)
 
     orthonormal = ft.partial(gram_schmidt, system)
-    frame, lengths = system.where_any(due, orthonormal, as_it_is, variation.frame, ~variation.free)
+    removed = ~variation.free, variation.projected
+    frame, lengths = system.where_any(due, orthonormal, as_it_is, variation.frame, *removed)
     lengths = where(due, lengths, 0.0)
     growth = variation.growth + lengths
     # A direction that is lost once has lost all, also if it is not resolved at other times.
@@ -168,5 +172,6 @@ def _orthonormalised(
         frame=jax.tree.map(lambda q, v: select(due, q, v), frame, variation.frame),
         left=select(regular, every, variation.left),
         free=variation.free & ~due,
+        projected=variation.projected & ~due,
         growth=where(lost, -jnp.inf, growth),
     )

@@ -16,14 +16,14 @@ from tests.integrate.system.test_large_state import MORE, Padded, wide
 FEW, MANY = 4, 20
 
 
-def orthonormalised(vectors, dropped=False):
+def orthonormalised(vectors, dropped=False, projected=False):
     """The frame and the logarithms that `gram_schmidt` finds for the rows of a matrix."""
     n = len(vectors)
     system = build(Linear(jnp.eye(n)), jnp.ones(n), compact=False)
-    frame = jnp.asarray(vectors)
+    frame, given = jnp.asarray(vectors), map(jnp.asarray, (dropped, projected))
     if isinstance(generic_frame(system), tuple):
         frame = tuple(system.constant(row) for row in np.asarray(vectors))
-    found, logs = jax.jit(lambda frame: gram_schmidt(system, frame, jnp.asarray(dropped)))(frame)
+    found, logs = jax.jit(lambda frame: gram_schmidt(system, frame, *given))(frame)
     return rows_of(found), np.asarray(pack(logs, float))
 
 
@@ -46,6 +46,18 @@ def test_what_is_lost_is_replaced(n, dropped, told):
     assert_array_equal(logs[[1, -1]], told)
     assert np.isfinite(np.delete(logs, [1, n - 1])).all()
     assert_allclose(frame @ frame.T, np.eye(n), rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("n", [FEW, MANY])
+def test_vectors_that_a_slide_has_taken_away_are_rounding_and_not_small(n):
+    kept = np.random.default_rng(n).normal(size=(n, n))
+    # Of unit vectors there is left a plane, or nothing, up to rounding.
+    for rank in (2, 0):
+        vectors = kept[:, :rank] @ kept[:rank] + 1e-16 * kept
+        _, logs = orthonormalised(vectors, dropped=True, projected=True)
+        assert_array_equal(np.isneginf(logs), np.arange(n) >= rank)
+    # Elsewhere a small vector may be what a map has left of it.
+    assert np.isfinite(orthonormalised(1e-16 * kept, dropped=True)[1]).all()
 
 
 def test_many_exponents_are_those_of_the_matrix():

@@ -113,6 +113,46 @@ def test_what_rounding_hides_is_not_lost_by_a_kick_or_a_slide():
     assert np.all(found.result == RESULTS.successful)
 
 
+class Servo(jf.System):
+    """x' = A cos t − side, with a sensor of x that has a gain."""
+
+    gain: jax.Array
+    force: jax.Array
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        return (self.force * jnp.cos(t) - side)[None]
+
+    def switching(self, t, x):
+        return self.gain * x[0]
+
+
+def test_a_state_that_is_lost_as_a_whole_is_lost_in_any_unit():
+    # It sticks to x = 0 for a part of each period, or for good, and forgets all of its state.
+    systems = stacked(Servo, gain=[1.0, 3.0, 0.1, 3.0, 0.2], force=[1.4, 1.4, 1.4, 0.5, 0.5])
+    run = {"periods": 4, "transient": 2, "steps": 20, "stepper": jf.RK4()}
+    found = spectra(systems, jnp.full((5, 1), 0.2), **run)
+    assert_array_equal(found.exponents, -np.inf)
+
+
+class Ball(MovingTable):
+    """On a table that never leaves it behind, and no drag: it comes to rest and lies for good."""
+
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -jnp.ones_like(t)])
+
+
+@pytest.mark.release
+def test_a_ball_that_lies_on_a_moving_table_has_lost_both_directions():
+    systems = stacked(Ball, e=[0.5, 0.85])
+    run = {"periods": 3, "transient": 8, "steps": 20, "stepper": jf.RK4(), "compact": True}
+    found = spectra(systems, jnp.tile(jnp.array([0.5, 0.0]), (2, 1)), **run)
+    assert np.all(found.result == RESULTS.successful)
+    assert_array_equal(found.exponents, -np.inf)
+
+
 def test_the_derivative_of_an_exponent():
     def largest(a):
         system = Linear(-a * jnp.eye(1))
