@@ -24,7 +24,7 @@ from jaxfil.model.section import Section, sections_of
 from jaxfil.model.system import System
 from jaxfil.sweep.initial_states import initial_states, state_type
 from jaxfil.sweep.parameter_grid import ParameterGrid, parameter_grid
-from jaxfil.sweep.sampling import Samples, Sampling
+from jaxfil.sweep.sampling import Samples, Sampling, depends_on_time
 from jaxfil.xla.kernel import BLOCK
 
 
@@ -160,7 +160,7 @@ def sampling_of(
         observable=observable,
         averaging=averaging,
         share=jnp.ones((), x0.dtype),
-        phased=followed and section is not None and system.period is not None,
+        phased=followed and section is not None and depends_on_time(system),
     )
 
 

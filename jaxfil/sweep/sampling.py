@@ -33,6 +33,8 @@ from jaxfil.model.system import System
 from jaxfil.xla.select import select
 
 _Array = TypeVar("_Array", Array, np.ndarray)
+# Rounding of the number of ticks in a period, in eps of that number.
+_DIVIDES = 64
 
 
 class Point(eqx.Module):
@@ -101,8 +103,8 @@ class Sampling(eqx.Module):
     """The averages from the end of the transient to the last sample, or at a section from the first
     sample to the last."""
     phased: bool = eqx.field(static=True, default=False)
-    """Whether lanes start at the phase of the forcing at which the previous one ended, the last
-    number of their initial states."""
+    """Whether lanes start at the phase of the forcing and the clocks at which the previous one
+    ended, the last number of their initial states."""
 
     def at(self, values: Array) -> tuple[System, Array]:
         """The system at a point in parameter space, and its period, or the unit of time for an
@@ -165,7 +167,7 @@ class Sampling(eqx.Module):
         return self.transient * self.steps if self.section is None else self.transient + 1
 
     def split(self, start: Array) -> tuple[Array, Array]:
-        """The state and the phase of the forcing, a fraction of 1, at the start of a lane."""
+        """The state and the phase, in cycles (see `_cycle_of`), at the start of a lane."""
         return (start[:-1], start[-1]) if self.phased else (start, jnp.zeros((), start.dtype))
 
     def _to_the_last_crossing(
@@ -183,7 +185,7 @@ class Sampling(eqx.Module):
             section = self.averaging.section(section)
         sections = sections_of_run((section,), system, field, x0)
         assert sections is not None
-        t0 = phase * unit
+        t0 = phase * _cycle_of(system, unit)[0] if self.phased else jnp.zeros_like(unit)
         since = None if self.transient_time is None else t0 + self.transient_time
         watched = eqx.tree_at(
             lambda s: (s.terminal, s.unseen, s.since),
@@ -233,11 +235,12 @@ class Sampling(eqx.Module):
 
     def ended(self, point: Point, start: Array, end: Array) -> Array:
         """The start of the next lane after one from `start`: its last state, followed by the phase
-        of the forcing instead of the time."""
+        instead of the time."""
         if not self.phased:
             return end
-        _, period = self.at(point.values)
-        return end.at[-1].set(jnp.mod(start[-1] + end[-1] / period, 1.0))
+        cycle, repeats_itself = _cycle_of(*self.at(point.values))
+        phase = start[-1] + end[-1] / cycle
+        return end.at[-1].set(select(repeats_itself, jnp.mod(phase, 1.0), phase))
 
     def sampled(self, point: Point, x0: Array, kept: Kept, result: RESULTS) -> Samples[Array]:
         """The samples of a lane from its recorded data; averages if it has reached its end."""
@@ -276,6 +279,23 @@ class Sampling(eqx.Module):
             saved = dataclasses.replace(saved, ts=periods.astype(period.dtype) * period)
         values = observed(observable, problem, system, x0, saved)
         return jnp.where(jnp.isfinite(values), values, jnp.nan).reshape(self.samples, -1)
+
+
+def depends_on_time(system: System) -> bool:
+    """Whether a system has a forcing period or clocks."""
+    return system.period is not None or len(system.clocks) > 0
+
+
+def _cycle_of(system: System, unit: Array) -> tuple[Array, Array]:
+    """The time in which phases of a system are counted, and whether it repeats itself after that: a
+    forcing period, which is the unit of its grids, or else the longest period of a clock."""
+    periods = [jnp.asarray(clock.period, unit.dtype) for clock in system.clocks]
+    if system.period is None:
+        unit = jnp.max(jnp.stack(periods))
+    # Clocks that do not divide the cycle never return together, so that time goes on instead.
+    turns = jnp.stack([unit / period for period in [unit, *periods]])
+    rounding = _DIVIDES * float(jnp.finfo(unit.dtype).eps) * turns
+    return unit, jnp.all(abs(turns - jnp.round(turns)) <= rounding)
 
 
 def _at_section(result: RESULTS) -> RESULTS:

@@ -91,7 +91,8 @@ def bifurcation_diagram(
     - `stepper`: as in `solve`; by default `diffrax.Dopri8()`.
     - `follow`: "up" or "down" starts each value, in ascending or descending order, from the end of
       the previous one, which follows an attractor; by default each starts from `x0`. At a `section`
-      the phase of the force continues too, and a lane starts at a time of its first period.
+      the phases of the force and of clocks continue too, and a lane starts at a time of its first
+      period, or later if the clocks do not return to their phases after it.
     - `checkpoint`: a folder in which every chunk of lanes is stored as soon as it is finished. The
       same call resumes from there, after Ctrl-C, a time limit or `kill -9`, and ends with the same
       numbers bit for bit. A call with other arguments raises an error. Needs xarray and zarr.

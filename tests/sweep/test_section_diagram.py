@@ -227,6 +227,43 @@ class Driven(jf.System):
         return 2 * jnp.pi / self.omega
 
 
+class Counting(jf.System):
+    """A rotation of frequency one, and the ticks of two clocks counted."""
+
+    rate: jax.Array
+    first: jax.Array
+    second: jax.Array
+
+    def vector_field(self, t, x, side):
+        none = jnp.zeros_like(t)
+        return jnp.stack([self.rate * x[1], -self.rate * x[0], none, none])
+
+    def tick(self, t, x, clock):
+        return x.at[2 + clock].add(1.0)
+
+    @property
+    def clocks(self):
+        return jf.Clock(self.first), jf.Clock(self.second)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("second", [4.6, 1.7], ids=["which return", "which never return"])
+def test_following_at_a_section_goes_on_at_the_phases_of_clocks(second):
+    run = dict(transient=0, samples=3, follow="up", max_return=10.0, progress=False, steps=20)
+    d = jf.bifurcation_diagram(
+        Counting(*map(jnp.asarray, (1.0, 2.3, second))),
+        "rate",
+        np.ones(4),
+        np.array([1.0, 0.0, 0.0, 0.0]),
+        section=jf.Section(lambda t, x: x[1], direction=-1),
+        **run,
+    )
+    # Turns end at 2πk, by when there were as many ticks as there are whole periods in it.
+    turns = 2 * np.pi * np.arange(1, 13)
+    ticks = np.floor(turns[:, None] / np.array([2.3, second]))
+    np.testing.assert_array_equal(d.xs.reshape(12, 4)[:, 2:], ticks)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("observe", [None, lambda t, x, side: x[0]], ids=["states", "observed"])
 def test_following_at_a_section_goes_on_at_the_phase_of_the_force(observe):
