@@ -3,6 +3,7 @@
 The loop and its extensions receive these together, as a `Problem`.
 """
 
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -81,6 +82,16 @@ def even_grid(
     a derivative with respect to `length`; the grid points before it are constants."""
     dt = stop_gradient(length) / num_steps.astype(length.dtype)
     return TimeGrid(t0, length, dt, num_steps, iteration_budget(num_steps, max_events))
+
+
+def budget_with_ticks(grid: TimeGrid, clocks: Sequence[tuple[Array, Array]]) -> Array:
+    """The iteration budget of a grid, with one more step for each tick of the clocks in its span,
+    since ticks end steps."""
+    ticks = sum(abs(grid.length) / period for period, _ in clocks)
+    # A span or a period that is no number ends the run at once.
+    ticks = stop_gradient(jnp.nan_to_num(jnp.minimum(ticks, 2.0**25))).astype(jnp.int32)
+    most = 2**31 - 1
+    return grid.max_iterations + jnp.minimum(32 * ticks, most - grid.max_iterations)
 
 
 def _is_no_period(period: Array) -> Array:

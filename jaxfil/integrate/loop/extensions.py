@@ -11,7 +11,14 @@ import jax.numpy as jnp
 
 from jaxfil.integrate.lane.clocks import Clocks
 from jaxfil.integrate.lane.extension import Extension
-from jaxfil.integrate.lane.problem import NOTHING, KeptMode, Problem, Recording, TimeGrid
+from jaxfil.integrate.lane.problem import (
+    NOTHING,
+    KeptMode,
+    Problem,
+    Recording,
+    TimeGrid,
+    budget_with_ticks,
+)
 from jaxfil.integrate.lane.state import LoopState
 from jaxfil.integrate.loop.section_search import SectionSearch
 from jaxfil.integrate.loop.section_state import SectionState
@@ -36,11 +43,13 @@ def problem_of(
 ) -> Problem:
     """The problem of one lane, with the extensions that its system and its sections need, and
     `others`. Unless `limited`, the iteration budget is raised if a tolerance determines the number
-    of steps."""
+    of steps, and by the ticks of clocks."""
     if tableau.tolerance is not None and not limited:
         most = jnp.minimum(grid.num_steps, _MOST_GRID_STEPS)
         enough = jnp.maximum(grid.max_iterations, _LEAST + _OF_EACH * most)
         grid = dataclasses.replace(grid, max_iterations=enough)
+    if system.clocks and not limited:
+        grid = dataclasses.replace(grid, max_iterations=budget_with_ticks(grid, system.clocks))
     extensions: list[Extension] = []
     # Clocks come first, since they restrict the times at which others evaluate functions.
     if system.clocks:

@@ -665,3 +665,35 @@ class Stops(jf.System):
 def test_ticks_without_a_contact_may_be_many():
     sol = solve(Stops(jnp.array(1.0)), [0.5, 0.0], 42.0, max_events=4300)
     assert bool(sol.result == jf.RESULTS.successful) and int(sol.num_events) == 4200
+
+
+class Counter(jf.System):
+    """x' = 0, and each tick adds one."""
+
+    every: jax.Array
+    period = 1.0
+
+    def vector_field(self, t, x, side):
+        return 0.0 * x
+
+    def tick(self, t, x, clock):
+        return x + 1.0
+
+    @property
+    def clocks(self):
+        return (jf.Clock(self.every, 0.5 * self.every),)
+
+
+def test_a_sampled_run_may_have_many_more_ticks_than_steps():
+    found = jf.settled_average(
+        Counter(jnp.asarray(1 / 2048)),
+        lambda t, x, side: x[0],
+        jnp.zeros(1),
+        transient=39,
+        samples=1,
+        steps=2,
+        stepper=jf.RK4(),
+    )
+    assert found.result == jf.RESULTS.successful
+    # The number of ticks k + 1/2 before the time 40, which are powers of two.
+    np.testing.assert_array_equal(found.x_final, [40 * 2048])
