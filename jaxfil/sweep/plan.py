@@ -173,7 +173,11 @@ def _averaging(
     resolves: bool,
 ) -> Averaging:
     """The averages between the samples; `resolves` as in `Averaging`."""
-    averaging = checked_averaging("average", average, system, jnp.asarray(state), resolves)
+    averaging = checked_averaging(
+        *("average", average, system, jnp.asarray(state)),
+        resolves=resolves,
+        lasting=section is not None,
+    )
     if section is not None and samples < 2:
         raise ValueError(
             "`samples` must be 2 or more with `average` and a `section`: averages are those from "

@@ -260,12 +260,12 @@ class Sampling(eqx.Module):
         """The numbers of all quantities of a lane."""
         # The run is differentiated forward, in a kernel, and what follows as the user asks.
         problem, _ = self.problem(point, start, transposed=True)
-        integrals, ts = kept.saved.xs[:, averaging.n :], kept.saved.ts
+        xs, ts = kept.saved.xs, kept.saved.ts
         if self.section is None:
             _, period = self.at(point.values)
-            means = jnp.mean(integrals, axis=0) / period
+            means = jnp.mean(xs[:, averaging.n :], axis=0) / period
         else:
-            means = (integrals[-1] - integrals[0]) / (ts[-1] - ts[0])
+            means = averaging.since(xs) / (ts[-1] - ts[0])
         return averaging.found(problem, kept.averages, means)
 
     def _observed(

@@ -574,3 +574,33 @@ def test_extremes_within_steps_as_long_as_a_period(steps):
     value, slope = jax.jit(jax.vmap(lambda d: jax.jvp(amplitude, (d,), (1.0,))))(dampings)
     np.testing.assert_allclose(value * dampings[:, None], [[1, -1]] * 9, rtol=1e-6)
     np.testing.assert_allclose(slope * dampings[:, None] ** 2, [[-1, 1]] * 9, rtol=1e-5)
+
+
+class Turning(jf.System):
+    """A rotation of frequency one."""
+
+    rate: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([self.rate * x[1], -self.rate * x[0]])
+
+
+def test_averages_at_a_section_late_in_single_precision():
+    """What is constant is its own mean, up to the rounding of the times. A step of 1/40 is 102 or
+    103 of their spacings, and in a sum that has grown since the start each adds a number that has
+    been rounded up, or down, every time."""
+    loads = np.array([9.81, 3.3, 5.7, 6.9], np.float32)
+    found = jf.settled_average(
+        Turning(np.float32(1.0)),
+        {"loads": lambda t, x, side: loads * jnp.ones_like(t), "side": lambda t, x: x[0]},
+        np.array([1.0, 0.0], np.float32),
+        section=jf.Section(lambda t, x: x[1], direction=-1),
+        max_return=8.0,
+        transient_time=3000.0,
+        samples=12,
+        steps=40,
+        stepper=jf.RK4(),
+    )
+    error = 2 * np.spacing(np.float32(3069)) / (11 * 2 * np.pi)
+    np.testing.assert_allclose(found.averages["loads"], loads, rtol=error)
+    np.testing.assert_allclose(found.averages["side"], 0, rtol=0, atol=2 * error)

@@ -18,6 +18,7 @@ from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState
 from jaxfil.integrate.loop.event_sums import Sums, event_sums
 from jaxfil.integrate.loop.extremes import Extremes, SoFar
+from jaxfil.integrate.loop.long_integrals import LongIntegrals
 from jaxfil.integrate.loop.window import Window
 from jaxfil.integrate.run.observed import Observable, OfState, checked_observable, with_rate
 from jaxfil.integrate.system.lowered import ComponentSystem, build
@@ -72,6 +73,15 @@ class _Row(eqx.Module):
         return jnp.concatenate([jnp.ravel(jnp.asarray(f(*at), t.dtype)) for f in self.functions])
 
 
+class _Zeros(eqx.Module):
+    """The rate of numbers that only change between steps."""
+
+    k: int = eqx.field(static=True)
+
+    def __call__(self, t: Array, x: Array) -> Array:
+        return jnp.zeros((self.k,), x.dtype)
+
+
 class Averaged(eqx.Module):
     """A quantity to be averaged."""
 
@@ -116,6 +126,8 @@ class Averaging(eqx.Module):
     resolves: bool = eqx.field(static=True)
     """Whether the functions of extremes are integrated too, so that the steps of a tolerance
     resolve them: while a mass sticks the state is exact in any step, and its force is not."""
+    lasting: bool = eqx.field(static=True)
+    """Whether integrals go on for the whole run, and each is two numbers (`long_integrals`)."""
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -152,7 +164,16 @@ class Averaging(eqx.Module):
             # whose values on both sides have the same square.
             rate, squared = one.function(system), isinstance(one.quantity, RMS)
             wider, x = with_rate(wider, one.observed(rate, self.n), x, squared=squared)
+        if self.lasting and self.integrals > 0:
+            still = Observable(_Zeros(self.integrals), (self.integrals,))
+            wider, x = with_rate(wider, still, x)
         return wider, x
+
+    def since(self, states: Array) -> Array:
+        """The integrals from the first of states that carry them to the last one, in a run in which
+        they are `lasting`."""
+        changes = states[-1] - states[0]
+        return changes[self.n : self.n + self.integrals] + changes[self.n + self.integrals :]
 
     def section(self, section: Section) -> Section:
         """A section of states that carry integrals."""
@@ -169,7 +190,10 @@ class Averaging(eqx.Module):
         """The extensions for lanes of a system whose `field` carries the integrals, from states
         like x with these. The span of the averages starts at grid point number `first`, or at this
         crossing of the section. `found` is differentiated in reverse mode if `transposed`."""
-        window, found = Window(first), []
+        window = Window(first)
+        found: list[Extension] = []
+        if self.lasting and self.integrals > 0:
+            found.append(LongIntegrals(self.integrals))
         # Extremes have a wider system of their own. Their functions are evaluated and not
         # integrated, so the lane does not carry them.
         wider, start, signs, sums, count = system, x[: self.n], [], [], 0
@@ -224,9 +248,11 @@ def averages_in(state: LoopState) -> tuple[SoFar | Sums, ...]:
     return tuple(v for v in state.extensions if isinstance(v, (SoFar, Sums)))
 
 
-def checked_averaging(name: str, given: Any, system: System, x: Array, resolves: bool) -> Averaging:
-    """The quantities in the argument `name`, for runs from a state like x; `resolves` as in
-    `Averaging`."""
+def checked_averaging(
+    name: str, given: Any, system: System, x: Array, *, resolves: bool, lasting: bool
+) -> Averaging:
+    """The quantities in the argument `name`, for runs from a state like x; `resolves` and `lasting`
+    as in `Averaging`."""
     several = isinstance(given, Mapping)
     quantities = dict(given) if several else {_name_of(given): given}
     # Results are indexed by these names, which are also the names of columns.
@@ -240,7 +266,7 @@ def checked_averaging(name: str, given: Any, system: System, x: Array, resolves:
         where = f"{name}[{key!r}]" if several else name
         shape = _checked(where, quantity, system, x, h_shape)
         each.append(Averaged(cast(quantity, x.dtype), key, shape))
-    return Averaging(tuple(each), h_shape, x.shape[0], resolves)
+    return Averaging(tuple(each), h_shape, x.shape[0], resolves, lasting)
 
 
 def _function_of(quantity: Any) -> Any:
