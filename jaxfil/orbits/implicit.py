@@ -25,6 +25,8 @@ from jaxfil.model.parameter import is_parameter
 from jaxfil.model.system import System
 from jaxfil.orbits.newton import solve_in_numpy
 from jaxfil.xla.known import compiled_if_traced, is_known, without_derivatives
+from jaxfil.xla.masked_product import masked_product, masked_row_product
+from jaxfil.xla.select import select, select_all
 
 SystemOf = Callable[[Array], System]
 """The system for the vector θ of all its float leaves."""
@@ -115,7 +117,7 @@ def _slopes_jvp(
     by_z: Array,
 ) -> tuple[Array, Array]:
     slopes = _slopes(*primals, equations=equations, system_of=system_of, by_z=by_z)
-    moved = tuple(
+    moves = tuple(
         jnp.zeros_like(v) if d is None else d for v, d in zip(primals, tangents, strict=True)
     )
 
@@ -123,10 +125,18 @@ def _slopes_jvp(
         by_theta = equations.by_parameters(system_of, theta, z)
         return by_theta, equations.by_unknowns(system_of, theta, z)
 
-    _, (by_theta, turned) = jax.jvp(matrices, primals, moved)
+    _, (by_theta, turned) = jax.jvp(matrices, primals, moves)
     if turned is None:
         return slopes, jnp.full_like(slopes, jnp.nan)
-    return slopes, -jnp.linalg.solve(by_z, by_theta + turned @ slopes)
+    # Of a solution without slopes, such as one that is not isolated, a cotangent of zero must leave
+    # other cotangents alone. Its NaN is therefore multiplied last, and the numbers before are safe.
+    lost = ~jnp.all(jnp.isfinite(slopes))
+    matrix, safe = select_all(
+        lost, (jnp.eye(len(by_z), dtype=by_z.dtype), jnp.zeros_like(slopes)), (by_z, slopes)
+    )
+    moved = -jnp.linalg.solve(matrix, by_theta + turned @ safe)
+    none = select(lost, jnp.full_like(slopes, jnp.nan), jnp.ones_like(slopes))
+    return slopes, masked_product(none, moved)
 
 
 @eqx.filter_custom_jvp
@@ -148,4 +158,5 @@ def _solution_jvp(
     if direction is None:
         return (z, by_z, more), (jnp.zeros_like(z), *none)
     known = {"equations": equations, "system_of": system_of, "by_z": stop_gradient(by_z)}
-    return (z, by_z, more), (_slopes(theta, z, **known) @ direction, *none)
+    slopes = _slopes(theta, z, **known)
+    return (z, by_z, more), (masked_row_product(direction, slopes.T), *none)

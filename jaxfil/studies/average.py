@@ -24,6 +24,7 @@ from jaxfil.model.system import System
 from jaxfil.model.types import Scalar, State
 from jaxfil.xla.known import is_known, without_derivatives
 from jaxfil.xla.select import select
+from jaxfil.xla.valid_derivative import only_if_valid
 
 
 class Average(eqx.Module):
@@ -126,6 +127,14 @@ def average(
         adjoint=adjoint,
         throw=throw,
     )
-    n, elapsed = x.shape[0], sol.t_final - since
-    mean = sol.x_final[n:].reshape(observable.shape) / elapsed
+    n = x.shape[0]
+    integral = sol.x_final[n:].reshape(observable.shape)
+    # A run that has failed at its start has a mean of 0/0.
+    mean = only_if_valid(_mean, integral, sol.t_final, since)
     return Average(mean, sol.result, sol.t_final, sol.x_final[:n])
+
+
+def _mean(integral: jax.Array, t: jax.Array, since: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Whether a mean over the time from `since` to t is finite, and the mean."""
+    mean = integral / (t - since)
+    return jnp.all(jnp.isfinite(mean)), mean

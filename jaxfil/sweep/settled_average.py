@@ -22,9 +22,10 @@ from jaxfil.model.section import Section
 from jaxfil.model.system import System
 from jaxfil.model.types import Scalar, State
 from jaxfil.sweep.plan import sampling_of
-from jaxfil.sweep.sampling import Sampling
+from jaxfil.sweep.sampling import Kept, Point, Sampling
 from jaxfil.xla.kernel import kernel_if_it_fits
 from jaxfil.xla.lanes import lanes_of
+from jaxfil.xla.valid_derivative import only_if_valid
 
 
 class SettledAverage(eqx.Module):
@@ -140,5 +141,15 @@ def _settled(sampling: Sampling, x0: Array) -> SettledAverage:
         return sampling.outcome(integrate(*sampling.problem(point, x0)))
 
     kept, result, end = kernel_if_it_fits(run, sampling.compact)(x0)
-    row, (_, period) = sampling.sampled(point, x0, kept, result).averages, sampling.at(nowhere)
+    row = only_if_valid(_row, sampling, point, x0, kept, result)
+    _, period = sampling.at(nowhere)
     return SettledAverage(averaging.named(row), period_outcome(period, result), end)
+
+
+def _row(
+    sampling: Sampling, point: Point, x0: Array, kept: Kept, result: RESULTS
+) -> tuple[Array, Array]:
+    """Whether a lane has averages, and all their numbers."""
+    averages = sampling.sampled(point, x0, kept, result).averages
+    assert averages is not None
+    return result == RESULTS.successful, averages

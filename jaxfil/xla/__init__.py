@@ -19,6 +19,10 @@ This room does not depend on nonsmooth systems. Its words:
 - pushforward: results together with their tangents, in one run (`pushforward`).
 - known: not traced; outside every transformation verbs share compiled functions (`known`).
 - masked write: an entry of a table, written by the lanes that have one (`masked_write`).
+- masked product: one that is zero where a factor is, whatever the other one is
+  (`masked_product`).
+- valid: of a result whose derivatives are used; the others leave shared cotangents unchanged
+  (`valid_derivative`).
 - jump: an operation that is discontinuous in an argument, such as a sign (`jumps`).
 - disk cache: compiled programs stored for later processes (`disk_cache`).
 - threshold: a multiple of eps below which a value is rounding (`thresholds`).

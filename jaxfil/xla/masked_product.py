@@ -54,6 +54,18 @@ def masked_product(a: Any, b: Any) -> Array:
     return masked_product_p.bind(a, b)
 
 
+def masked_row_product(row: Array, matrix: Array) -> Array:
+    """The row times the matrix, shapes (k,) and (k, …). A number of either that is 0 takes no part,
+    for any value of the other; the same for derivatives and their transposes.
+
+    In reverse mode a result that is left out, which has a cotangent of zero, then leaves the other
+    cotangents alone, although its own derivatives may be infinite or NaN: those of a lane that has
+    failed, or of the time of a graze.
+    """
+    column = row.reshape(-1, *(1,) * (matrix.ndim - 1))
+    return jnp.sum(masked_product(matrix, jnp.broadcast_to(column, matrix.shape)), axis=0)
+
+
 def _jvp(primals: Sequence[Any], tangents: Sequence[Any]) -> tuple:
     (a, b), (da, db) = primals, tangents
     rate = ad.Zero(jax.core.ShapedArray(b.shape, b.dtype))

@@ -21,6 +21,7 @@ from jax.interpreters import ad, batching, mlir, partial_eval as pe
 from jaxtyping import Array
 
 from jaxfil.xla.compiler import PARTS
+from jaxfil.xla.masked_product import masked_row_product
 from jaxfil.xla.program import operations, pruned
 
 # The module that has `set_current_trace`; `jax.core` until JAX 0.8.
@@ -120,7 +121,7 @@ class Single:
         # result.
         def product(column: Array) -> Array:
             flat = jnp.concatenate([jnp.ravel(v).astype(column.dtype) for v in rates])
-            return jnp.tensordot(flat, column, 1)
+            return masked_row_product(flat, column)
 
         return list(map(product, columns))
 

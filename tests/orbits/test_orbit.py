@@ -407,6 +407,32 @@ def test_a_linear_oscillator_in_resonance_has_no_orbit():
     assert_allclose(orbits.x0[1], [1 / (1 - 0.64), 0], rtol=0, atol=1e-9)
 
 
+class Forced(jf.System):
+    """x' = −k x + a cos t; at k = 0 every start is periodic."""
+
+    k: jax.Array
+    a: jax.Array
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        return -self.k * x + self.a * jnp.cos(t)
+
+
+def test_a_lane_without_an_orbit_takes_nothing_from_the_gradient_of_others():
+    def total(a):
+        def start(k):
+            orbit = jf.periodic_orbit(Forced(k, a), jnp.array([0.3]), compact=True, throw=False)
+            return orbit.x0[0], orbit.result
+
+        starts, results = jax.vmap(start)(jnp.asarray([0.5, 0.0, 1.0]))
+        return jnp.where(results == RESULTS.successful, starts, 0.0).sum(), results
+
+    slope, results = jax.jit(jax.grad(total, has_aux=True))(0.7)
+    assert_array_equal(outcome_names(results), ["successful", "newton_singular", "successful"])
+    # x = a (k cos t + sin t)/(1 + k²).
+    assert_allclose(slope, 0.5 / 1.25 + 1 / 2, rtol=1e-10)
+
+
 @pytest.mark.release
 def test_an_orbit_of_a_negative_period_is_told():
     def orbit(omega):

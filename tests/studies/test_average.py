@@ -183,3 +183,19 @@ def test_a_mean_over_no_time_is_refused_and_in_a_batch_an_outcome():
     np.testing.assert_allclose(found.value[1:], 1 / 2 - 1 / 24, rtol=64 * EPS)
     assert "batch of shape (3,)" in repr(found)
     assert "0.458333333 up to t = 1.5\n  successful" in repr(mean(1.5, throw=True))
+
+
+def test_a_run_of_no_time_takes_nothing_from_the_gradient_of_others():
+    """The mean of k x from 1 with x' = −k x is 1 − exp(−k)."""
+
+    def total(k):
+        decay = jf.piecewise(lambda t, x: -k * x, lambda t, x: -k * x, lambda t, x: x[0] + 9.0)
+
+        def mean(x0):
+            run = jf.average(decay, lambda t, x: k * x[0], x0[None], 0.0, 1.0, 0.1, throw=False)
+            return run.value, run.result
+
+        means, results = jax.vmap(mean)(jnp.asarray([1.0, np.nan]))
+        return jnp.where(results == jf.RESULTS.successful, means, 0.0).sum()
+
+    np.testing.assert_allclose(jax.jit(jax.grad(total))(0.7), np.exp(-0.7), rtol=1e-10)

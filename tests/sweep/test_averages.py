@@ -517,6 +517,44 @@ def test_the_derivative_by_a_frequency_beside_the_period_grows_with_time():
     assert_allclose(jax.grad(mean)(w), want, rtol=1e-5)
 
 
+class Damped(jf.System):
+    """x' = −k x + F cos ωt."""
+
+    k: jax.Array
+    force: jax.Array
+    omega: jax.Array
+
+    def vector_field(self, t, x, side):
+        return -self.k * x + self.force * jnp.cos(self.omega * t)
+
+    @property
+    def period(self):
+        return 2 * jnp.pi / self.omega
+
+
+def test_a_lane_that_fails_takes_nothing_from_the_gradient_of_others():
+    """The mean of x² is F²/(2 (k² + ω²)) for x' = −k x + F cos ωt, with the period 2π/ω."""
+
+    def total(p):
+        def one(x0):
+            average = {"power": lambda t, x: x[0] ** 2, "rms": jf.RMS(lambda t, x: x[0])}
+            run = dict(transient=8, samples=2, steps=20, compact=True)
+            found = jf.settled_average(Damped(*p), average, x0, **run)
+            return found.averages["power"] + found.averages["rms"], found.result
+
+        means, results = jax.vmap(one)(jnp.asarray([[0.0], [np.nan], [1.0]]))
+        return jnp.where(results == jf.RESULTS.successful, means, 0.0).sum(), results
+
+    def exact(p):
+        power = p[1] ** 2 / (2 * (p[0] ** 2 + p[2] ** 2))
+        return 2 * (power + jnp.sqrt(power))
+
+    p = jnp.asarray([1.0, 0.8, 1.3])
+    slope, results = jax.jit(jax.grad(total, has_aux=True))(p)
+    assert list(jf.RESULTS.names(results)) == ["successful", "nonfinite", "successful"]
+    assert_allclose(slope, jax.grad(exact)(p), rtol=0, atol=1e-6)
+
+
 class Ringing(jf.System):
     """x'' + x'/5 + x = 0."""
 

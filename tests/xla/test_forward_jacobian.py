@@ -75,6 +75,24 @@ def test_what_nobody_asks_for_is_not_in_a_gradient():
     assert_allclose(jax.grad(lambda x: both(x)[0])(2.0), 4.0, rtol=1e-15)
 
 
+def test_what_is_left_out_of_a_gradient_takes_nothing_from_it():
+    """A number beside it, and lanes, whose derivatives are infinite or NaN."""
+
+    @by_forward_jacobian
+    def both(x):
+        return jnp.stack([x**2, jnp.sqrt(x - 2.0)])
+
+    assert_allclose(jax.grad(lambda x: both(x)[0])(2.0), 4.0, rtol=1e-15)
+    assert_allclose(jax.jacfwd(jax.grad(lambda x: both(x)[0]))(2.0), 2.0, rtol=1e-15)
+
+    def good(a):
+        roots = jax.vmap(lambda x: both(a * x)[1])(jnp.asarray([1.0, 2.0, 6.0]))
+        return jnp.where(roots > 0, roots, 0.0).sum()
+
+    assert_allclose(jax.grad(good)(1.0), 1.5, rtol=1e-15)
+    assert_allclose(jax.jacfwd(jax.grad(good))(1.0), -36 / 32, rtol=1e-15)
+
+
 def test_linear_maps_are_transposed():
     _, pull = jax.vjp(cube, X)
     _, push = jax.linearize(cube, X)

@@ -7,6 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from jaxfil.xla.trace import Traced
+from jaxfil.xla.valid_derivative import only_if_valid
 
 X = jnp.asarray([0.3, -0.7])
 
@@ -54,3 +55,23 @@ def test_a_function_without_singular_operations_is_left_alone():
         return jax.jit(jax.vjp(traced, X)[1]).lower(X).as_text()
 
     assert program(True) == program(False)
+
+
+def overflowing(a, x):
+    """A number whose derivatives are not finite where it is not, and whether it is."""
+    y = jnp.exp(a * x) * a * x**2
+    return jnp.isfinite(y), y
+
+
+def test_an_invalid_result_takes_nothing_from_what_it_shares():
+    x = jnp.asarray([0.5, 1e4, np.nan])
+
+    def total(a):
+        y = jax.vmap(lambda x: only_if_valid(overflowing, a, x))(x)
+        return jnp.where(jnp.isfinite(y), y, 0.0).sum()
+
+    def right(a):
+        return jnp.exp(a * 0.5) * a * 0.25
+
+    for d in (jax.jacfwd, jax.grad, lambda f: jax.jacfwd(jax.grad(f)), jax.hessian):
+        assert_allclose(jax.jit(d(total))(0.7), d(right)(0.7), rtol=1e-14)

@@ -2,6 +2,7 @@
 
 - start: the mode at t0.
 - iterate: one trial step and its consequence: accept, refuse, reject, land, switch.
+- trial: the trial step and its end.
 - judge: the choice between these, or the failure of a trial step.
 - halving: refusal of a step that cannot be trusted, which is repeated at half its length.
 - path: the motion in a step as a polynomial, cut at its first contact.

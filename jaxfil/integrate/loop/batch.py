@@ -40,9 +40,10 @@ from jaxfil.integrate.loop.free_step import (
     is_near,
     try_free_step,
 )
-from jaxfil.integrate.loop.iterate import finish, integrate, judge, trial_step
+from jaxfil.integrate.loop.iterate import finish, integrate, judge
 from jaxfil.integrate.loop.path import path_of, step_along
 from jaxfil.integrate.loop.start import initial_state
+from jaxfil.integrate.loop.trial import trial_step
 from jaxfil.integrate.steppers.explicit import Trial
 from jaxfil.integrate.steppers.taylor import TaylorTableau
 from jaxfil.integrate.surfaces.filippov import ModeField

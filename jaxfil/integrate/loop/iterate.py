@@ -26,7 +26,6 @@ programs of second derivatives (`second_order`).
 
 import dataclasses
 import functools as ft
-from collections.abc import Callable
 
 import equinox.internal as eqxi
 import jax
@@ -36,7 +35,6 @@ from jaxtyping import Array
 
 from jaxfil.integrate.contacts.guards import rearmed
 from jaxfil.integrate.contacts.locate import Landing
-from jaxfil.integrate.contacts.switch import evaluate_step_end
 from jaxfil.integrate.lane.extension import Step, Verdict, extensions_of
 from jaxfil.integrate.lane.forcing_phase import next_period
 from jaxfil.integrate.lane.problem import Problem, TimeGrid
@@ -52,19 +50,15 @@ from jaxfil.integrate.lane.state import (
     later,
     tables_of,
 )
-from jaxfil.integrate.lane.step_length import Length, choose_length
+from jaxfil.integrate.lane.step_length import Length
 from jaxfil.integrate.loop import judge as judging
 from jaxfil.integrate.loop.halving import doubted, next_trust
 from jaxfil.integrate.loop.judge import Judgement
-from jaxfil.integrate.loop.path import may_be_cut, path_of, step_along
 from jaxfil.integrate.loop.start import initial_state
-from jaxfil.integrate.steppers.explicit import Trial, compact_step, step
-from jaxfil.integrate.steppers.taylor import TaylorTableau
-from jaxfil.integrate.surfaces.filippov import ModeField
-from jaxfil.integrate.surfaces.unilateral import rests_of
+from jaxfil.integrate.loop.trial import Tried, end_of, try_step, try_step_in_reverse
+from jaxfil.integrate.steppers.explicit import Trial
 from jaxfil.integrate.system.components import (
     Components,
-    Forcing,
     Polynomial,
     all_finite,
     any_of,
@@ -73,6 +67,7 @@ from jaxfil.integrate.system.components import (
 )
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.xla.select import select, select_all
+from jaxfil.xla.valid_derivative import only_if_valid
 
 
 def problem_of_step(problem: Problem, state: LoopState) -> Problem:
@@ -85,42 +80,14 @@ def problem_of_step(problem: Problem, state: LoopState) -> Problem:
 def advance(problem: Problem, state: LoopState) -> LoopState:
     """One iteration. A lane that has ended is unchanged."""
     problem = problem_of_step(problem, state)
-    length = choose_length(problem, state)
-    if isinstance(problem.tableau, TaylorTableau) and may_be_cut(problem):
-        return _advance_along(problem, state, length)
-    t, times = problem.grid.t0 + state.motion.tau, problem.tableau.times
-    forcing = problem.system.forcing(t, length.h, times)
-    trial = trial_step(problem, state, length, forcing)
+    if problem.system.transposed:
+        tried, infinite = try_step_in_reverse(problem, state)
+    else:
+        tried, infinite = try_step(problem, state), None
+    state = dataclasses.replace(state, search=tried.search)
     if problem.system.m == 0:
-        return _go_on_smoothly(problem, state, length, trial)
-    return judge(problem, state, length, trial)
-
-
-def _advance_along(problem: Problem, state: LoopState, length: Length) -> LoopState:
-    """An iteration whose trial step ends at the first zero of a guard on a polynomial, or at a
-    kink."""
-    path = path_of(problem, state, length, ModeField(problem.system, state.motion.mode))
-    state, length, trial = step_along(problem, state, length, path)
-    if problem.system.m == 0:
-        return _go_on_smoothly(problem, state, length, trial)
-    return judge(problem, state, length, trial)
-
-
-def trial_step(problem: Problem, state: LoopState, length: Length, forcing: list[Forcing]) -> Trial:
-    """A trial step in the lane's mode."""
-    system, motion = problem.system, state.motion
-    t = problem.grid.t0 + motion.tau
-
-    def tried(take: Callable, held: bool) -> Trial:
-        field = ModeField(system, motion.mode, held=held)
-        return take(problem.tableau, field, t, motion.x, motion.f, length.h, forcing)
-
-    grade = compact_step if problem.compact else step
-    if not system.resets:
-        return tried(grade, held=False)
-    # Reactions enlarge the field's program, and few lanes rest, so their step is a compact one.
-    held, free = ft.partial(tried, compact_step, True), ft.partial(tried, grade, False)
-    return system.where_any(any_of(rests_of(motion.mode)), held, free)
+        return _go_on_smoothly(problem, state, tried, infinite)
+    return _judge_tried(problem, state, tried, infinite)
 
 
 def judge(
@@ -132,26 +99,31 @@ def judge(
 ) -> LoopState:
     """The lane after a trial step: accepted, rejected, landed or switched. `free` is as in
     `evaluate_step_end`."""
-    # A switch has length zero, so its trial would end in the same state, but with 0·∞ = NaN where
-    # the field of the old mode is not finite.
-    x = where(state.pending.waits, state.motion.x, trial.x)
-    end = evaluate_step_end(problem, state, length, x, trial.forcing[-1], free)
-    judgement = judging.judged(problem, state, length, trial, end)
+    end = end_of(problem, state, length, trial, free)
+    return _judge_tried(problem, state, Tried(state.search, length, trial, end))
+
+
+def _judge_tried(
+    problem: Problem, state: LoopState, tried: Tried, infinite: Array | None = None
+) -> LoopState:
+    """The lane after a trial step, which may be known to be `infinite`."""
+    length, trial = tried.length, tried.trial
+    judgement = judging.judged(problem, state, length, trial, tried.end, infinite)
     action = judging.action_of(problem, state, judgement)
     taken, action, verdicts = _heard(
-        problem, state, length, end, action, trial.path, judgement.landing
+        problem, state, length, tried.end, action, trial.path, judgement.landing
     )
     after = _carried_out(problem, state, judgement, taken, action)
     return _followed(problem, state, after, taken, verdicts)
 
 
-def _go_on_smoothly(problem: Problem, state: LoopState, length: Length, trial: Trial) -> LoopState:
+def _go_on_smoothly(
+    problem: Problem, state: LoopState, tried: Tried, infinite: Array | None
+) -> LoopState:
     """The lane after a trial step in a system without surfaces."""
-    x, pending = trial.x, state.pending
-    if problem.tick is not None:  # as in `judge`
-        x = where(pending.waits, state.motion.x, x)
-    end = evaluate_step_end(problem, state, length, x, trial.forcing[-1])
-    infinite = ~all_finite(end.motion.x, end.motion.f)
+    length, trial, end, pending = tried.length, tried.trial, tried.end, state.pending
+    if infinite is None:
+        infinite = ~all_finite(end.motion.x, end.motion.f)
     doubt = doubted(problem, state, length, trial, end, infinite)
     action = judging.smooth_action_of(problem, state, end, doubt)
     taken, action, verdicts = _heard(problem, state, length, end, action, trial.path)
@@ -326,7 +298,7 @@ def integrate_with_checkpoints(
 ) -> LoopState:
     """`integrate` for reverse-mode derivatives, with at most `max_iterations` iterations, of which
     `checkpoints` are stored; None leaves the number to equinox."""
-    first = initial_state(problem, x0)
+    first = only_if_valid(_valid_start, problem, x0)
 
     # Buffers are written in place. Of tables that are plain arrays, reverse mode would store a copy
     # for every step.
@@ -343,6 +315,12 @@ def integrate_with_checkpoints(
         checkpoints=checkpoints,
     )
     return finish(problem.grid, state)
+
+
+def _valid_start(problem: Problem, x0: Components) -> tuple[Array, LoopState]:
+    """Whether a lane has finite numbers at t0, and the lane."""
+    state = initial_state(problem, x0)
+    return state.result != RESULTS.nonfinite, state
 
 
 def finish(grid: TimeGrid, state: LoopState) -> LoopState:

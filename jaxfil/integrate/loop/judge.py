@@ -70,13 +70,20 @@ class Judgement(eqx.Module):
 
 
 def judged(
-    problem: Problem, state: LoopState, length: Length, trial: Trial, end: StepEnd
+    problem: Problem,
+    state: LoopState,
+    length: Length,
+    trial: Trial,
+    end: StepEnd,
+    overflowed: Array | None = None,
 ) -> Judgement:
-    """The judgement of a trial step, before the action is chosen."""
+    """The judgement of a trial step, before the action is chosen. A step that has `overflowed` has
+    another end here."""
     contact = find_contact(problem, state, end, length, trial.searched)
     waits = state.pending.waits
     motion = end.motion
     infinite = ~all_finite(motion.x, motion.f, motion.g, contact.theta)
+    infinite = infinite if overflowed is None else infinite | overflowed
     # A shorter flight is indistinguishable from the time correction at its end.
     tau, repeats = end.motion.tau, state.pending.repeats
     flight = abs(tau - state.pending.tau)

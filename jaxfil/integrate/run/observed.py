@@ -30,6 +30,7 @@ from jaxfil.model.parameter import cast
 from jaxfil.model.section import Section
 from jaxfil.model.system import System, field_of
 from jaxfil.xla.select import select, select_all
+from jaxfil.xla.valid_derivative import only_if_valid
 
 
 class Observable(eqx.Module):
@@ -199,28 +200,43 @@ def observed(
     entries. States saved on `both` sides of an event have one time in two or more rows, of which
     the earliest is the state before it."""
     wider, start = with_rate(system, observable, x0)
-    n, more = x0.shape[0], start[x0.shape[0] :]
-    # `transposed`, since unreached entries are computed too, and their derivatives must not be NaN.
+    # `transposed`, since branches that are not taken are evaluated too.
     field = build(wider, start, compact=True, transposed=True)
     around = dataclasses.replace(problem, system=field)
-
-    def value(t: Array, x: Array, mode: Array, before: Array) -> Array:
-        reached = jnp.isfinite(t) & jnp.all(jnp.isfinite(x))
-        # Unreached entries are inf; they are replaced before the evaluation, whose derivatives
-        # would be NaN, and inf again after it.
-        t, x = select(reached, t, problem.grid.t0), select(reached, x, x0)
-        # The mode of an unreached entry may be 0, and would be evaluated as a slide.
-        mode = select(reached, mode.astype(x.dtype), 1.0)
-        # A single state saved at a tick is the one after it, also backward in time.
-        here = clocks.just_after(around, t, in_time=True).system
-        if both and here.clocks:
-            earlier = clocks.just_before(around, t).system.window
-            here = dataclasses.replace(here, window=select_all(before, earlier, here.window))
-        rate = ModeField(here, here.of_surfaces(mode))(t, here.unpack(jnp.concatenate([x, more])))
-        return select(reached, pack(rate, x.dtype)[n:], jnp.inf).reshape(observable.shape)
-
     same, no = at.ts[1:] == at.ts[:-1], jnp.zeros((1,), bool)
     as_next, as_last = jnp.append(same, no), jnp.append(no, same)
     forward = problem.grid.direction > 0
-    before = select(forward, as_next & ~as_last, as_last & ~as_next)
+    before = select(forward, as_next & ~as_last, as_last & ~as_next) if both else None
+
+    def value(*row: Any) -> Array:
+        # Unreached entries are computed too, and those of a lane that has failed.
+        reached, values = only_if_valid(_value, around, x0, start, *row)
+        return select(reached, values, jnp.inf).reshape(observable.shape)
+
     return jax.vmap(value)(at.ts, at.xs, at.modes, before)
+
+
+def _value(
+    around: Problem,
+    x0: Array,
+    start: Array,
+    t: Array,
+    x: Array,
+    mode: Array,
+    before: Array | None,
+) -> tuple[Array, tuple[Array, Array]]:
+    """Whether an entry is reached, twice, and the values in its row, given the problem and the
+    start of the run that carries them."""
+    reached, n = jnp.isfinite(t) & jnp.all(jnp.isfinite(x)), len(x0)
+    # Unreached entries are inf; they are replaced before the evaluation.
+    t, x = select(reached, t, around.grid.t0), select(reached, x, x0)
+    # The mode of an unreached entry may be 0, and would be evaluated as a slide.
+    mode = select(reached, mode.astype(x.dtype), 1.0)
+    # A single state saved at a tick is the one after it, also backward in time.
+    here = clocks.just_after(around, t, in_time=True).system
+    if before is not None and here.clocks:
+        earlier = clocks.just_before(around, t).system.window
+        here = dataclasses.replace(here, window=select_all(before, earlier, here.window))
+    carried = here.unpack(jnp.concatenate([x, start[n:]]))
+    rate = ModeField(here, here.of_surfaces(mode))(t, carried)
+    return reached, (reached, pack(rate, x.dtype)[n:])

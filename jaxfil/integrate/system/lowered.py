@@ -68,16 +68,16 @@ class ComponentSystem(Fenced):
     structure: Structure = eqx.field(static=True)
     """Which numbers of the field and of H depend on which side and state."""
     compact: bool = eqx.field(static=True)
-    """Whether the program should be small (see `grade`). Sines are then one operation each, and
-    only arrays of forcing values are computed ahead."""
+    """Whether it is small: sines are one operation, only arrays are computed ahead (`grade`)."""
+    transposed: bool = eqx.field(static=True)
+    """Whether the program is differentiated in reverse mode."""
     as_array: bool = eqx.field(static=True)
     """Whether a state is one array."""
     holds_itself: tuple[bool, ...] = eqx.field(static=True)
-    """Flags of the surfaces whose reaction acts through the field alone; empty for a field without
-    reactions."""
+    """Flags of surfaces whose reaction acts through the field alone; empty without reactions."""
     packed: bool = eqx.field(static=True)
-    """Whether the values of all surfaces are one (m,) array, and a state too. This holds for
-    separate surfaces without resets that share no number of it, and for large m."""
+    """Whether all surfaces are one (m,) array, and a state too: for separate surfaces without
+    resets that share no number of it, and for large m."""
     _field: Any
     _switching: Any
     _felt: Any
@@ -358,6 +358,7 @@ def _build(
         dtype=dtype,
         structure=found,
         compact=compact,
+        transposed=transposed,
         as_array=as_array,
         holds_itself=holds_itself,
         packed=packed,

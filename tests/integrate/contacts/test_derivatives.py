@@ -460,3 +460,30 @@ def test_reverse_mode_of_a_batch(wrapped):
         slope = wrapped(jax.grad(total(end, number)))(k)
         right = jax.jit(jax.grad(total(exact, number)))(k)
         assert_allclose(slope, right, rtol=1e-10, atol=0)
+
+
+@pytest.mark.parametrize("adjoint", [FORWARD, pytest.param(REVERSE, marks=pytest.mark.slow)])
+def test_lanes_that_fail_take_nothing_from_the_gradient_of_others(adjoint):
+    """One lane starts at NaN, and one has more impacts than the table has rows."""
+    heights = jnp.asarray([1.0, np.nan, 1.5, 1e-4])
+
+    def total(p):
+        def end(h):
+            ball = S.BouncingBall(g=p[0], restitution=p[1])
+            run = dict(max_events=4, compact=True, throw=False)
+            sol = solve(ball, jnp.stack([h, 0 * h]), 0.0, 1.0, 0.1, adjoint, **run)
+            return sol.x_final[0], sol.result
+
+        ends, results = jax.vmap(end)(heights)
+        return jnp.where(results == jf.RESULTS.successful, ends, 0.0).sum(), results
+
+    def exact(p):
+        tau = 1 - jnp.sqrt(2 * heights[::2] / p[0])
+        ends = p[1] * jnp.sqrt(2 * p[0] * heights[::2]) * tau - p[0] * tau**2 / 2
+        return ends.sum()
+
+    p = jnp.asarray([9.8, 0.8])
+    slope, results = jax.jit(jax.grad(total, has_aux=True))(p)
+    names = ["successful", "nonfinite", "successful", "max_events_reached"]
+    assert list(jf.RESULTS.names(results)) == names
+    assert_allclose(slope, jax.grad(exact)(p), rtol=1e-12)

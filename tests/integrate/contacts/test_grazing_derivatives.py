@@ -77,3 +77,37 @@ def test_derivative_at_grazing():
     assert_allclose(x, -5.0, rtol=0, atol=1e-6)
     assert np.isinf(d_t)
     assert not np.isnan(d_x)
+
+
+class Between(jf.System):
+    """A ball between a floor and a ceiling at 1."""
+
+    g: jax.Array
+    slides = False
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -self.g])
+
+    def switching(self, t, x):
+        return jnp.stack([x[0], 1.0 - x[0]])
+
+    def reset(self, t, x, surface):
+        return x.at[1].multiply(-1.0)
+
+
+@pytest.mark.slow
+def test_a_graze_leaves_the_gradient_of_earlier_contacts():
+    """Thrown down from 1/2, it touches the ceiling at the top of its flight after the impact."""
+
+    def first(p):
+        run = dict(stepper=jf.RK4(), max_events=8, compact=True)
+        events = jf.solve(Between(p[2]), p[:2], 0.0, 2.5, 0.125, **run).events
+        return events.ts[0], events.kinds[1]
+
+    p = jnp.asarray([0.5, -1.0, 1.0])
+    (t, kind), slope = jax.jit(jax.value_and_grad(first, has_aux=True))(p)
+    assert kind == EventKind.graze
+    # t = (v + s)/g with s = √(v² + 2 g y), downward: by y, v, g.
+    s = np.sqrt(2.0)
+    assert_allclose(t, s - 1, rtol=1e-14)
+    assert_allclose(slope, [1 / s, 1 - 1 / s, 0.5 / s - (s - 1)], rtol=1e-13)

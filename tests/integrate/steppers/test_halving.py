@@ -224,3 +224,41 @@ def test_steps_of_a_long_chain_with_a_stiff_spring_are_halved():
     rest = np.linalg.solve(stiffness, np.eye(20)[-1])
     exact = rest - shapes @ (np.cos(2.0 * np.sqrt(squares)) * (shapes.T @ rest))
     np.testing.assert_allclose(sol.x_final[:20], exact, rtol=0, atol=1e-5)
+
+
+class Upstroke(jf.System):
+    """v' = a exp(v), which is infinite a time exp(−v)/a after v; reset at a peak."""
+
+    a: jax.Array
+    back: jax.Array
+    peak: jax.Array
+    slides = False
+
+    def vector_field(self, t, x, side):
+        return self.a * jnp.exp(x)
+
+    def switching(self, t, x):
+        return self.peak - x[0]
+
+    def reset(self, t, x, surface):
+        return self.back[None]
+
+
+@pytest.mark.slow
+def test_steps_that_overflow_leave_no_nan_in_reverse_mode():
+    """The time of the second spike, after steps from the reset that overflow."""
+
+    def second(p):
+        reverse = diffrax.RecursiveCheckpointAdjoint()
+        run = dict(max_events=8, max_steps=256, adjoint=reverse, compact=True)
+        sol = jf.solve(Upstroke(*p[1:]), p[:1], 0.0, 1.02, 0.5, stepper=diffrax.Tsit5(), **run)
+        return sol.events.ts[1], sol.stats["num_halvings"]
+
+    p = np.array([0.0, 1.1, 2.0, 4.0])
+    (t, halved), slope = jax.jit(jax.value_and_grad(second, has_aux=True))(jnp.asarray(p))
+    # (exp(−v0) − exp(−peak) + exp(−back) − exp(−peak))/a.
+    by_v = np.array([1.0, 1.0, -2.0]) * np.exp(-p[[0, 2, 3]]) / p[1]
+    assert halved > 0
+    np.testing.assert_allclose(t, by_v.sum(), rtol=1e-3)
+    right = [-by_v[0], -by_v.sum() / p[1], -by_v[1], -by_v[2]]
+    np.testing.assert_allclose(slope, right, rtol=1e-2)
