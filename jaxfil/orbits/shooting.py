@@ -44,11 +44,20 @@ class ShootingOptions(eqx.Module):
     compact: bool = eqx.field(static=True)
     """Whether the stages of a step are in a loop (see `solve`)."""
 
-    def problem(self, system: System, x0: Array, t0: Array, length: Array, arcs: int) -> Problem:
-        """The problem of one arc, which starts at `t0` and takes the time `length`. It has its
-        share of the steps if `arcs` arcs of this length make up the orbit."""
+    def problem(
+        self,
+        system: System,
+        x0: Array,
+        t0: Array,
+        length: Array,
+        arcs: int,
+        end: Array | None = None,
+    ) -> Problem:
+        """The problem of one arc, which starts at `t0` and takes the time `length`, up to `end`
+        without the rounding of a sum. It has its share of the steps if `arcs` arcs of this length
+        make up the orbit."""
         num_steps = jnp.asarray(-(-self.steps // arcs), jnp.int32)
-        grid = even_grid(t0, length, num_steps, self.max_events)
+        grid = even_grid(t0, length, num_steps, self.max_events, end)
         recording = Recording(max_events=self.max_events)
         field = build(system, x0, compact=self.compact)
         return problem_of(field, tableau_of(self.stepper), grid, recording)
@@ -99,8 +108,8 @@ def shoot(
         def end(z: Array) -> tuple[Array, tuple]:
             system, period = setting(z[n:])
             length = period / options.arcs
-            t0 = options.t0 + number * length
-            problem = options.problem(system, z[:n], t0, length, options.arcs)
+            t0, then = (options.t0 + k * length for k in (number, number + 1))
+            problem = options.problem(system, z[:n], t0, length, options.arcs, then)
             state = integrate(problem, problem.system.unpack(z[:n]))
             x = pack(state.motion.x, z.dtype)
             # From the states at the steps, the recent ones above all (`guards.larger`), which is
@@ -191,7 +200,8 @@ def flow_map(
 
     def forward(x: Array, number: Array) -> Array:
         arcs = max(1, round(1 / part))
-        problem = options.problem(system, x, options.t0 + number * length, length, arcs)
+        t0, end = (options.t0 + k * length for k in (number, number + 1))
+        problem = options.problem(system, x, t0, length, arcs, end)
         problem = dataclasses.replace(problem, recording=NOTHING)
         state = integrate(problem, problem.system.unpack(x))
         return select(state.result == RESULTS.successful, pack(state.motion.x, x.dtype), x)

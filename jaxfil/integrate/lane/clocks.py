@@ -14,10 +14,15 @@ from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.integrate.lane.extension import Extension, Step, Verdict
-from jaxfil.integrate.lane.problem import Problem
+from jaxfil.integrate.lane.problem import SAME_TIME, Problem
 from jaxfil.integrate.lane.state import LoopState
+from jaxfil.integrate.system.functions import size_of_time
 from jaxfil.model.clock import Ticks
 from jaxfil.xla.select import select
+
+# A tick closer to a time than this many eps of the time is at it. It is half of `SAME_TIME`, so
+# that the rounding of elapsed times does not keep a step from ending on a tick at the end.
+_SAME = SAME_TIME / 2
 
 
 class ClockState(eqx.Module):
@@ -25,6 +30,8 @@ class ClockState(eqx.Module):
 
     ticks: Ticks
     """The number k of the next tick of each clock, at the time φ + kT."""
+    last: Ticks
+    """The number of the last tick of each clock in the run."""
     waiting: Array
     """The number of the clock whose tick waits for its switch; −1 without one."""
 
@@ -36,11 +43,13 @@ class Clocks(Extension):
     def before_step(self, problem: Problem, own: ClockState | None) -> Problem:
         ticks = first_ticks(problem) if own is None else own.ticks
         waiting = None if own is None else own.waiting
-        tick, _ = _next_tick(problem, ticks)
+        last = ticks if own is None else own.last
+        tick, _ = _next_tick(problem, ticks, last)
         return dataclasses.replace(between_ticks(problem, ticks), tick=tick, ticked=waiting)
 
     def begin(self, problem: Problem, state: LoopState) -> tuple[LoopState, ClockState]:
-        return state, ClockState(first_ticks(problem), jnp.full((), -1, jnp.int32))
+        none = jnp.full((), -1, jnp.int32)
+        return state, ClockState(first_ticks(problem), _last_ticks(problem), none)
 
     def after_step(
         self,
@@ -53,7 +62,7 @@ class Clocks(Extension):
     ) -> tuple[LoopState, ClockState]:
         assert step.length.ticking is not None
         ticking = step.length.ticking & step.accepted & step.moved
-        _, first = _next_tick(problem, own.ticks)
+        _, first = _next_tick(problem, own.ticks, own.last)
         each = enumerate(own.ticks)
         # Only one clock ticks. Another one at the same time has a step of its own.
         ticks = tuple(
@@ -73,21 +82,43 @@ class Clocks(Extension):
             jumped=pending.jumped | ticking,
             across=pending.across | ticking,
         )
-        return dataclasses.replace(after, pending=pending), ClockState(ticks, waiting)
+        return dataclasses.replace(after, pending=pending), ClockState(ticks, own.last, waiting)
 
 
 def first_ticks(problem: Problem, at_start: bool = True) -> Ticks:
     """The numbers of the first ticks from t0 on, in the direction of time. At the start of a run
     backward in time a tick at t0 is the first one, since the state there is the one after it."""
-    grid, ticks = problem.grid, []
-    for period, phase in problem.system.clocks:
-        # Any other tick at t0 is excluded; `same` keeps the rounding of t0 − φ from deciding.
-        passed = stop_gradient((grid.t0 - phase) / period)
-        same = problem.same_time(jnp.zeros_like(passed)) / stop_gradient(period)
-        up = jnp.floor(passed + same) + 1
-        down = jnp.floor(passed + same) if at_start else jnp.ceil(passed - same) - 1
-        ticks.append(select(grid.direction > 0, up, down))
-    return tuple(ticks)
+    # Any other tick at t0 is excluded.
+    direction, each = problem.grid.direction, _ticks_near(problem, problem.grid.t0)
+    return tuple(
+        select(direction > 0, until + 1, until if at_start else since - 1) for until, since in each
+    )
+
+
+def _last_ticks(problem: Problem) -> Ticks:
+    """The numbers of the last ticks before the end of the run, or at it if that is its largest
+    time."""
+    grid = problem.grid
+    end = grid.t0 + grid.length if grid.end is None else grid.end
+    each = _ticks_near(problem, end)
+    return tuple(select(grid.direction > 0, until, until + 1) for until, _ in each)
+
+
+def _ticks_near(problem: Problem, t: Array) -> list[tuple[Array, Array]]:
+    """For each clock the numbers of its last tick up to the time t and of its first from t on,
+    which are one tick if it is at t within rounding.
+
+    The rounding depends on the time itself and not on elapsed times. Of runs that are chained at t,
+    the one that ends there and the one that starts there then agree on which has the tick.
+    """
+    system, found = problem.system, []
+    for period, phase in system.clocks:
+        passed = (t - phase) / period
+        # A floor, so that the rounding is not zero at t = 0.
+        size = jnp.maximum(size_of_time(system.clocks, abs(t)) / period, 1e-3)
+        same = _SAME * system.eps * size
+        found.append(stop_gradient((jnp.floor(passed + same), jnp.ceil(passed - same))))
+    return found
 
 
 def _taus(problem: Problem, ticks: Ticks) -> tuple[Array, ...]:
@@ -98,10 +129,17 @@ def _taus(problem: Problem, ticks: Ticks) -> tuple[Array, ...]:
     return tuple((phase - t0) + k * period for (period, phase), k in each)
 
 
-def _next_tick(problem: Problem, ticks: Ticks) -> tuple[Array, Array]:
+def _next_tick(problem: Problem, ticks: Ticks, last: Ticks) -> tuple[Array, Array]:
     """The elapsed time of the earliest upcoming tick, and the number of its clock (the lowest one
-    among ticks at the same time)."""
-    first, *others = _taus(problem, ticks)
+    among ticks at the same time). After the `last` tick of a clock its next one counts as beyond
+    the end."""
+    grid, numbers = problem.grid, zip(ticks, last, strict=True)
+    over = [(k - end) * grid.direction > 0 for k, end in numbers]
+    taus = zip(over, _taus(problem, ticks), problem.system.clocks, strict=True)
+    first, *others = (
+        select(beyond, stop_gradient(grid.length + grid.direction * period), tau)
+        for beyond, tau, (period, _) in taus
+    )
     number = jnp.zeros((), jnp.int32)
     for j, tau in enumerate(others, start=1):
         before = (tau - first) * problem.grid.direction < -problem.same_time(first)

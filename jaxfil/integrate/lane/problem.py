@@ -59,6 +59,9 @@ class TimeGrid(eqx.Module):
     forcing: ForcingPeriod | None = None
     share: Array | None = None
     """The factor on the usual error limit at which a step is halved; None stands for 1."""
+    end: Array | None = None
+    """The time at the end, which t0 + length misses by rounding; None stands for that sum. Ticks of
+    clocks belong to a run by its two ends (`clocks.last_ticks`)."""
 
     @property
     def direction(self) -> Array:
@@ -76,12 +79,16 @@ class TimeGrid(eqx.Module):
 
 
 def even_grid(
-    t0: Array, length: Array, num_steps: Array, max_events: int | None = None
+    t0: Array,
+    length: Array,
+    num_steps: Array,
+    max_events: int | None = None,
+    end: Array | None = None,
 ) -> TimeGrid:
     """The grid of `num_steps` equal steps, with the budget of `iteration_budget`. Only its end has
     a derivative with respect to `length`; the grid points before it are constants."""
     dt = stop_gradient(length) / num_steps.astype(length.dtype)
-    return TimeGrid(t0, length, dt, num_steps, iteration_budget(num_steps, max_events))
+    return TimeGrid(t0, length, dt, num_steps, iteration_budget(num_steps, max_events), end=end)
 
 
 def budget_with_ticks(grid: TimeGrid, clocks: Sequence[tuple[Array, Array]]) -> Array:
@@ -132,6 +139,8 @@ def grid_of_periods(
         num_steps=num_steps,
         max_iterations=iteration_budget(num_steps),
         forcing=forcing,
+        # The same number as the t0 of the periods that follow.
+        end=(before + count).astype(period.dtype) * period,
     )
 
 

@@ -132,9 +132,7 @@ def _up_to_tick(
     known, tau = stop_gradient((tick, state.motion.tau))
     ahead = (known - stop_gradient(target)) * grid.direction
     same = problem.same_time(target)
-    # The span is open at its smallest time, so backward in time a tick at its end is outside it.
-    last = saving | (state.counts.index + 1 >= grid.num_steps)
-    ticking = (ahead < -same) | (ahead <= same) & ~(last & (grid.direction < 0))
+    ticking = (ahead < -same) | (ahead <= same) & ~(saving & (grid.direction < 0))
     at = select(abs(ahead) <= same, stop_gradient(target), known)
     # Of two ticks at one time the second must not lie before the current time by rounding.
     at = select((at - tau) * grid.direction < 0, tau, at)

@@ -295,7 +295,7 @@ def _time_grid(t0: Array, t1: Array, dt: Array, options: Options) -> TimeGrid:
     # More steps than an int32 holds exhaust the budget at once, since the count would overflow.
     iterations = select(steps > most, 0, iterations)
     dt = select(length < 0, -dt, dt)
-    return TimeGrid(t0, length, dt, num_steps, iterations, share=options.share)
+    return TimeGrid(t0, length, dt, num_steps, iterations, share=options.share, end=t1)
 
 
 def _solution(problem: Problem, options: Options, x0: Array, state: LoopState) -> Solution:

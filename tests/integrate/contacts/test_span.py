@@ -170,6 +170,19 @@ def test_dense_output_at_a_tick_that_is_a_grid_point_but_for_rounding(period):
     assert_array_equal(sol.evaluate(ticks - 0.01)[:, 0], [0, 1, 2])
 
 
+def test_a_tick_within_rounding_of_a_cut_is_of_one_of_two_runs():
+    """The cuts n/10 − 10 have the rounding of 10, by which some are just before a tick."""
+    cuts = np.arange(101, 125) / 10 - 10.0
+
+    def count(cut):
+        run = dict(dt=0.5, max_events=None)
+        first = solve(Counter(0.1), jnp.zeros(2), cut, t0=-10.0, **run)
+        return solve(Counter(0.1), first.x_final, 3.03, t0=cut, **run).x_final[0]
+
+    # Those at −9.9, −9.8, …, 3.0.
+    assert_array_equal(jax.jit(jax.vmap(count))(jnp.asarray(cuts)), 130)
+
+
 def test_lanes_count_ticks_of_their_own():
     """Those in (t0, t1], where either may be a tick."""
     T = np.array([1.0, 0.3, 0.7, 0.25, 0.1])
