@@ -15,7 +15,7 @@ from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.step_length import typical_step
 from jaxfil.integrate.surfaces import unilateral
 from jaxfil.integrate.surfaces.unilateral import Constraints
-from jaxfil.integrate.system.components import Components, any_of, pack, where
+from jaxfil.integrate.system.components import Components, any_of, pack, side_of, where
 from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.integrate.system.rows import Rows
 
@@ -32,8 +32,8 @@ class Thrown(eqx.Module):
     """Whether dH/dt is zero within rounding."""
     seen: "Trace"
     """The effect of each reset."""
-    rounding: Components
-    """Rounding of H."""
+    h: Components
+    """H."""
     constraints: Constraints
     """The surfaces as constraints."""
     a: Components
@@ -49,6 +49,8 @@ class Beginning(eqx.Module):
 
     sides: Components
     """The side to start on, unless another rule decides."""
+    beside: Components
+    """Surfaces that the state is off after all."""
     known: Components
     """Surfaces whose mode is decided here."""
     owed: Components
@@ -66,18 +68,25 @@ class Beginning(eqx.Module):
 
 
 def begin(
-    problem: Problem, x: Components, on: Components, sides: Components, rates: Components
+    problem: Problem,
+    x: Components,
+    on: Components,
+    sides: Components,
+    rates: Components,
+    noise: Components,
 ) -> Beginning:
     """The start of a run on the surfaces marked `on`, given the rates of H on side + with the sign
-    of the first derivative that does not vanish.
+    of the first derivative that does not vanish, and the rounding of H at this state alone.
 
     A surface whose reset throws back bounds H ≥ 0. A motion towards H < 0 then starts with an
     impact at t0, a pressed motion without a rate rests, and any other is off the surface. Any
     other surface is reached from the side that the motion comes from, by the sign of its rate, and
     its reset is due if the state cannot be the result of one. If it can, as for a kick that adds a
     constant, the reset counts as applied, since the span is open at t0. The same holds for a
-    surface that depends on time alone, like a tick. Backward in time a reset is only undone if the
-    state after it is on the side from which the motion comes.
+    surface that depends on time alone, like a tick. Beyond the rounding of H at this state, by
+    which the end of a run counts a contact as its own, such a state is off the surface instead.
+    Backward in time a reset is only undone if the state after it is on the side from which the
+    motion comes.
     """
     system, t, direction = problem.system, problem.grid.t0, problem.grid.direction
     above = sides.like(jnp.ones_like(t))
@@ -89,19 +98,21 @@ def begin(
     side = where(direction * rates < 0, above, -1.0)
     # Where ∂H/∂x = 0 the surface depends on time alone.
     timed = abs(thrown.normals) @ x.like(jnp.ones_like(t)) == 0
-    returns = (abs(seen.h) > thrown.rounding) & (side * seen.h > 0)
+    returns = seen.off & (side * seen.h > 0)
     back = on & ~thrown.back & ~flat
     # A reset to the side from which the motion comes is due in either direction of time. Any other
     # can be due only forward in time.
     back = back & (returns | (unmade & ~timed & (direction > 0)))
     owed = (wall & (direction * rates < 0) & ~flat) | back
-    start = where(wall, 1.0, where(back, side, sides))
+    beside = on & ~thrown.back & ~back & (abs(thrown.h) > noise)
+    start = where(wall, 1.0, where(back, side, where(beside, side_of(thrown.h), sides)))
     # A rate within rounding has an unknown sign, so the acceleration decides, and where that
     # vanishes the first higher derivative that does not.
     lean = where(flat, where(a != 0, direction * a, rates), a)
     rests, consistent = unilateral.pressed(c.reaction, lean, above, wall & flat)
     return Beginning(
         sides=start,
+        beside=beside,
         known=wall | back,
         owed=owed,
         still=wall & flat,
@@ -120,18 +131,18 @@ def thrown_at(problem: Problem, x: Components) -> Thrown:
     c = unilateral.constraints(system, t, x, above)
     f = system.field(t, x, above)
     a = unilateral.accelerations(system, t, x, above, f)
-    _, h_t, normals = system.gradients(t, x)
+    h, h_t, normals = system.gradients(t, x)
     inside, surfaces = system.rate_rounding(t, x, above), (h_t, normals)
     by_time, dt = a - c.gradients @ f, typical_step(problem)
     noise = unilateral.rate_noise(system, t, abs(x), inside, dt, f, c, by_time, surfaces)
     rounding = _NOISE * system.eps * (abs(normals) @ abs(x))
     # Only flags follow from the traces, so they have no derivative.
-    seen = stop_gradient(_traces(system, t, x, rounding))
+    seen = stop_gradient(_traces(system, t, x, h, rounding))
     # Here it is unknown whether the motion comes from side +.
     incoming = direction * c.rate < -noise
     through = incoming & unilateral.lets_through(direction * seen.rate, noise)
     back = unilateral.reset_effect(system, t, x, c, normals).throws_back & ~through
-    return Thrown(back, abs(c.rate) <= noise, seen, rounding, c, a, by_time, normals)
+    return Thrown(back, abs(c.rate) <= noise, seen, stop_gradient(h), c, a, by_time, normals)
 
 
 class Trace(eqx.Module):
@@ -139,6 +150,8 @@ class Trace(eqx.Module):
 
     h: Components
     """H after the reset."""
+    off: Components
+    """Whether the reset changes H."""
     unmade: Components
     """Whether the state cannot be the result of this reset alone. The reset then moves it, and is
     either idempotent or moves the state off the surface."""
@@ -146,8 +159,10 @@ class Trace(eqx.Module):
     """dH/dt after the reset, on side +."""
 
 
-def _traces(system: ComponentSystem, t: Array, x: Components, noise: Components) -> Trace:
-    """The effect of the resets of a state's surfaces, given the rounding of H there."""
+def _traces(
+    system: ComponentSystem, t: Array, x: Components, before: Components, noise: Components
+) -> Trace:
+    """The effect of the resets of a state's surfaces, given H there and its rounding."""
     above = noise.like(jnp.ones_like(t))
 
     def own(number: Array) -> tuple[Array, Array, Array, Array]:
@@ -164,7 +179,8 @@ def _traces(system: ComponentSystem, t: Array, x: Components, noise: Components)
     else:
         each = zip(*(own(jnp.int32(j)) for j in range(system.m)), strict=True)
         h, moved, again, rate = map(Components, each)
-    return Trace(h, moved & (~again | (abs(h) > noise)), rate)
+    off = abs(h - before) > noise
+    return Trace(h, off, moved & (~again | off), rate)
 
 
 def _changed(system: ComponentSystem, t: Array, x: Components, on: Components) -> Array:

@@ -231,12 +231,12 @@ def land(problem: Problem, state: LoopState, end: StepEnd, length: Length) -> La
     # The surfaces are switched in the order of their numbers.
     first = first_set(hits)
     delta = total(where(first, times, 0.0))
-    # Rounding can put a contact just past the end of its span.
-    room = length.room
+    # Rounding can put a contact just past the end of its span. The state there is on the surface.
+    x, room = end.motion.x + delta * end.motion.f, length.room
     late = (stop_gradient(delta) - room) * direction > 0
     late_delta = delta - stop_gradient(delta) + stop_gradient(room)
     delta = system.hold(select(late, late_delta, delta))
-    linear, moves = (delta, end.motion.x + delta * end.motion.f), first & (kinds != _JUMPED)
+    linear, moves = (delta, x), first & (kinds != _JUMPED)
     delta, x = add_second_derivative(
         beyond_newton,
         linear,
@@ -282,21 +282,27 @@ def _kinds_of_end(
     if system.resets:
         bound = bound | (abs(end.motion.mode) == 2)
     zero = abs(g) <= end.motion.noise
+    past = (g < 0) & (-g <= maximum(end.gathered, _searched_to(state, end)))
+    # A graze: the vertex of the guard is here, and its value is within rounding.
+    vertex = (bend > 0) & (0.5 * rate * rate * abs(h) <= end.gathered * bend)
+    touch = state.armed & (abs(g) <= end.gathered) & ~bound & vertex
+    # At the end of a run every contact within rounding is one of this run: one that starts there
+    # would start on the surface (see `start`).
+    last = length.gridded & (state.counts.index + 1 >= grid.num_steps)
+    at_end = last & (zero | past) & ~bound & ~touch
     # With several surfaces, contacts within the rounding of times are reached together.
     loose = bound | (system.m > 1)
     reached = (size <= same) & (inside | zero | loose) | (length.cutting & close & inside)
+    reached = reached | (at_end & close)
     # The contact aimed at is here, with δ = 0, if rounding hides the remaining time, or if the step
     # has passed it by no more than the rounding that the search assumes.
-    past = (g < 0) & (-g <= maximum(end.gathered, _searched_to(state, end)))
     here = aimed & (zero | past | loose & (abs(h) <= same)) & ~reached
+    here = here | (at_end & state.armed & ~reached)
     hit = falls & (here | ((state.armed | aimed) & reached))
     # H may jump at a fixed time, as with a ramp or a clock; however short the step, its end is past
     # the jump.
     across = aimed & (abs(h) <= same) & (g < -end.gathered - 2 * same * abs(rate)) & state.armed
     jumped = across & (abs(g) > 2 * same * abs(state.motion.rate)) & ~bound
-    # A graze: the vertex of the guard is here, and its value is within rounding.
-    vertex = (bend > 0) & (0.5 * rate * rate * abs(h) <= end.gathered * bend)
-    touch = state.armed & (abs(g) <= end.gathered) & ~bound & vertex
     kinds = where(hit, where(here, _HERE, _HIT), where(touch, _BRUSHED, _NOTHING))
     return where(jumped, _JUMPED, kinds).astype(h.dtype), missing
 

@@ -16,7 +16,7 @@ from jaxtyping import Array
 
 from jaxfil.integrate.contacts import accumulation
 from jaxfil.integrate.contacts.beginning import begin
-from jaxfil.integrate.contacts.guards import guards, stays_on, surface_noise, unguarded
+from jaxfil.integrate.contacts.guards import NOISE, guards, stays_on, surface_noise, unguarded
 from jaxfil.integrate.contacts.switch import with_reactions
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.recording import empty_table
@@ -105,10 +105,11 @@ def _resolved(
 
 
 def _first_mode(
-    problem: Problem, x: Components, h: Components, noise: Components
+    problem: Problem, x: Components, h: Components, noise: Components, inner: Components
 ) -> tuple[Components, Components, Components | None, Array, Array | None]:
     """The mode at t0, the surfaces that the state starts on, those with a reset due first, the
-    number of admissible modes, and the determinant of the weights."""
+    number of admissible modes, and the determinant of the weights. `inner` is the part of the noise
+    of H that comes from this state alone."""
     system, grid, known = problem.system, problem.grid, stop_gradient(problem)
     on = abs(h) <= noise
     # A motion that stands still on a surface counts as being on its side +.
@@ -116,12 +117,13 @@ def _first_mode(
     # The choice of the mode has no derivative.
     here = stop_gradient((system, grid.t0, x, moment(problem), grid.direction))
     if system.resets and are_coupled(system):
-        return _first_mode_together(known, stop_gradient(x), on, sides)
+        return _first_mode_together(known, stop_gradient(x), on, sides, inner)
     (fields, rates, following), direction = _rates_on_sides(*here, sides, on), grid.direction
     owed, instant = None, known.same_time(jnp.zeros((), system.dtype))
     if system.resets:
         above = _resolved(system, direction, rates[0], following[0], rates.sizes())
-        start = begin(problem, x, on, sides, above)
+        start = begin(problem, x, on, sides, above, inner)
+        on = on & ~start.beside
         free = on & ~start.known
         given = start.sides, free, direction, steered(system), instant, system.slides
         mode, count = filippov.choose(fields, rates, following, *given)
@@ -141,7 +143,7 @@ def _first_mode(
 
 
 def _first_mode_together(
-    problem: Problem, x: Components, on: Components, sides: Components
+    problem: Problem, x: Components, on: Components, sides: Components, inner: Components
 ) -> tuple[Components, Components, Components | None, Array, Array | None]:
     """`_first_mode` on several surfaces with resets, whose reactions are coupled."""
     system, t, direction = problem.system, problem.grid.t0, problem.grid.direction
@@ -150,7 +152,8 @@ def _first_mode_together(
     _, first, second, third = three_derivatives(system, t, x, moment(problem), above)
     following = next_of(second, third, direction)
     resolved = _resolved(system, direction, first, following, abs(first))
-    start = begin(problem, x, on, sides, resolved)
+    start = begin(problem, x, on, sides, resolved, inner)
+    on = on & ~start.beside
     _, _, normals = system.gradients(t, x)
     c, by_time = start.constraints, start.by_time
     forces = reactions.forces_of(system, t, x, above, c, by_time, normals, fields)
@@ -205,13 +208,15 @@ def _start(problem: Problem, x: Components) -> Start:
         motion = Motion(tau, x, system.field(t, x, none), scale, none, none, none, none, None)
         return Start(motion, none, None, jnp.ones((), jnp.int32))
     h, h_t, normals = system.gradients(t, x)
-    size = scale
+    f = system.field(t, x, h.like(jnp.ones_like(t)))
+    way = stop_gradient(abs(typical_step(problem) * f))
+    # Of a state beside zero, at which an earlier run has landed, the rounding of the landing.
+    landed = scale + 2 * NOISE * system.eps * way
+    inner = noise = surface_noise(system, t, x, landed, h_t, normals)
     if system.resets:
         # A state at which an earlier run ended on the surface has the rounding of its steps.
-        f = system.field(t, x, h.like(jnp.ones_like(t)))
-        size = size + stop_gradient(abs(typical_step(problem) * f))
-    noise = surface_noise(system, t, x, size, h_t, normals)
-    mode, on, owed, count, determinant = _first_mode(problem, x, h, noise)
+        noise = surface_noise(system, t, x, scale + way, h_t, normals)
+    mode, on, owed, count, determinant = _first_mode(problem, x, h, noise, inner)
     # A pinned lane is treated as off all surfaces. Its guards are armed, and no reset is due.
     if problem.kept is not None:
         met = ~problem.kept.on

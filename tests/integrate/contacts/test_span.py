@@ -319,6 +319,64 @@ def test_chained_just_before_or_after_a_reset_runs_are_the_whole_run(system):
     assert_within(after.x_final, whole.x_final, 64 * EPS)
 
 
+class Gap(Setting):
+    """A kick at a level, passed in either direction."""
+
+    level: jax.Array
+
+    def switching(self, t, x):
+        return x[0] - self.level
+
+    def reset(self, t, x, surface):
+        return x.at[1].add(self.value)
+
+
+class Rough(Setting):
+    """An acceleration beyond a level, above or below it by its sign, and no reset."""
+
+    level: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], jnp.where(side * self.value > 0, self.value, 0.0), 0 * t])
+
+    def switching(self, t, x):
+        return x[0] - self.level
+
+    reset = jf.System.reset
+
+
+@pytest.mark.parametrize("system", [Gap, Rough])
+def test_a_contact_within_rounding_of_a_cut_is_of_one_of_two_runs(system):
+    """The rounding is that of the level, of the last step, or of the whole motion."""
+    level = np.array([1000.0, 1.0, 1.0, 1e-3, 0.0])
+    x0, v = np.array([990.0, -8.0, 1.1, -1.0, 1.0]), np.array([9.37, 170.0, -3.0, 1.7, -1.7])
+    kick, meets = np.array([0.5, -20.0, -2.0, 0.3, 0.4]), (level - x0) / v
+    kick = kick if system is Gap else abs(kick) * np.sign(v)
+    rounding = 16 * EPS * (abs(level) + 0.1 * abs(v) + abs(x0)) / abs(v)
+    cuts = meets + np.linspace(-3, 3, 121)[:, None] * rounding
+    ends = np.broadcast_to(1.5 * meets, cuts.shape)
+
+    @jax.jit
+    @jax.vmap
+    @jax.vmap
+    def chained(level, x0, v, kick, cut, end):
+        def velocity(x0):
+            one, options = system(kick, level), dict(dt=0.05, max_events=4)
+            first = solve(one, jnp.stack([x0, v, 0.0]), cut, **options)
+            second = solve(one, first.x_final, end, t0=cut, **options)
+            return second.x_final[1], (first.num_events, second.num_events)
+
+        return jax.value_and_grad(velocity, has_aux=True)(x0)
+
+    given = [np.broadcast_to(g, cuts.shape) for g in (level, x0, v, kick)]
+    (speeds, (first, second)), slopes = chained(*given, cuts, ends)
+    assert_array_equal(first + second, 1)
+    # The time beyond the level grows by 1/v with x0.
+    want, slope = (v + kick, 0 * v) if system is Gap else (v + 0.5 * meets * kick, kick / v)
+    assert_within(speeds, np.tile(want, (121, 1)), 1e-12 * (1 + abs(want)))
+    assert_within(slopes, np.tile(slope, (121, 1)), 1e-9)
+
+
 class InTime(Setting):
     def switching(self, t, x):
         return t - 1
