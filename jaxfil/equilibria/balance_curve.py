@@ -237,7 +237,9 @@ class BalanceCurve(Curve[EquilibriumPoint]):
         if abs(side) == 2:
             return self._in(np.sign(side), last, j)[:2]
         if balance.system.resets and bool(_walls(self.varied, array_of(u))[j]):
-            return self._in(2 * side, last, j)[:2]
+            # The balance does not contain what a reaction does within the field.
+            felt = balance.system.feels_reactions
+            return (None, u) if felt else self._in(2 * side, last, j)[:2]
         # A field that balances on both sides is continuous.
         beside, there, balances = self._in(-side, last, j)
         if balances:

@@ -102,7 +102,7 @@ def continue_equilibrium(
         branch = _not_begun(curve, equilibrium, result)
     else:
         if np.any(start.known.margins < -start.known.noise):
-            raise ValueError(f"`equilibrium` must be one of the system, got a {equilibrium.kind}.")
+            raise ValueError("`equilibrium` must be one of the system, got a virtual one.")
         within = range_around(ends, curve.value(start))
         curve = dataclasses.replace(curve, least=_least(curve, start, ends))
         branch = _branch(curve, follow(curve, start, within, *steps))
@@ -124,18 +124,20 @@ def _on_branch(
     balance = Balance(system, array_of(mode, dtype), is_affine(system, at.x, mode.size))
     curve = BalanceCurve(Varied(balance, parameter))
     u = np.concatenate([np.asarray(at.x), np.asarray(at.multipliers), [float(known)]])
+    u = u.astype(dtype)
     constraint = constraint_across(u, _sizes(u, mode.size), curve.axis(u), 0.0)
     return curve, *curve.begin(u, constraint, curve.axis(u))
 
 
 def _sizes(u: np.ndarray, m: int) -> np.ndarray:
     """Initial scales of unknowns. A component that is zero to rounding has the scale of the largest
-    one; weights have one."""
-    size = abs(u)
-    x = size[: size.size - 1 - m]
-    largest = x.max() or 1.0
-    x[x < _SMALL * largest] = largest
-    return np.where(size == 0, 1.0, size)
+    one; multipliers have one at least."""
+    n, size = u.size - 1 - m, abs(u)
+    largest = size[:n].max() or 1.0
+    size[:n] = np.where(size[:n] < _SMALL * largest, largest, size[:n])
+    size[n:-1] = np.maximum(size[n:-1], 1.0)
+    size[-1] = size[-1] or 1.0
+    return size
 
 
 def _least(curve: BalanceCurve, start: EquilibriumPoint, ends: list[float]) -> np.ndarray:

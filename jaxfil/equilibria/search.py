@@ -56,7 +56,7 @@ def equilibrium(
     - `guess`: a guess of the state, shape (n,).
     - `mode`: for each surface the side ±1, 0 to slide on it, ±2 to rest on it from that side, shape
       (m,), or one number for one surface. None: the side of the guess; for a surface through the
-      guess, to rounding, 0, or 2 if its reset reflects the motion.
+      guess, to rounding, 0 (+1 if `slides` is False), or 2 if its reset reflects the motion.
     - `newton_steps`: the largest number of evaluations of the field.
     - `throw`: whether to raise an error unless the outcome is `successful`.
 
@@ -91,6 +91,11 @@ def equilibrium(
     m = 1 if shape == () else shape[0]
     known = None if mode is None else modes("mode", mode, m)
     budget = array_of(check.count("newton_steps", newton_steps), jnp.int32)
+    if known is not None and not system.resets and np.any(abs(known) == 2):
+        raise ValueError(
+            f"`mode` must be −1, 0 or 1, since {type(system).__name__} has no reset and cannot "
+            f"rest; got {check.told(mode)}."
+        )
     if system.feels_reactions and (known is None or np.any(abs(known) == 2)):
         raise ValueError(
             f"`mode` must be given, without a rest, for {type(system).__name__}, whose field takes "
@@ -175,10 +180,12 @@ def _mode_of(system: System, x: Array, m: int) -> Array:
     h = balance.h(x)
     terms = abs(jax.jacfwd(balance.h)(x)) @ abs(x)
     on = abs(h) <= EQUATIONS * jnp.finfo(x.dtype).eps * terms
-    held = jnp.zeros_like(h)
+    # Without slides the fields of both sides are equal there, and a weight is undetermined.
+    there = jnp.zeros_like(h) if system.slides else jnp.ones_like(h)
     if system.resets and m:
-        held = select(throws_back(balance, x), jnp.full_like(h, 2.0), held)
-    return jax.lax.stop_gradient(select(on, held, jnp.sign(h)))
+        there = select(throws_back(balance, x), jnp.full_like(h, 2.0), there)
+    # A mode has no derivative.
+    return jax.lax.stop_gradient(select(on, there, jnp.sign(h)))
 
 
 @eqx.filter_jit

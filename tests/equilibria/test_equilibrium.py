@@ -163,3 +163,28 @@ def test_a_forced_system_and_another_mode_are_refused():
         jf.equilibrium(Boundary(0.5, 1.0), jnp.zeros(2), mode=3)
     with pytest.raises(ValueError, match=r"`mode` must be .*, and not be traced"):
         jax.jit(lambda mode: jf.equilibrium(Boundary(0.5, 1.0), jnp.zeros(2), mode=mode))(0)
+
+
+class Threshold(jf.System):
+    """A relaxation towards c, and a threshold at 1 that only counts."""
+
+    c: jax.Array
+    slides = False
+
+    def vector_field(self, t, x, side):
+        return self.c - x
+
+    def switching(self, t, x):
+        return x[0] - 1.0
+
+
+def test_a_guess_on_a_surface_without_slides_is_on_a_side():
+    """A weight there is undetermined, since both fields are equal."""
+    found = jf.equilibrium(Threshold(jnp.asarray(2.5)), jnp.array([1.0]))
+    assert (found.kind, found.mode.tolist()) == ("regular", [1])
+    assert_allclose(found.x, [2.5], **CLOSE)
+
+
+def test_what_has_no_reset_cannot_rest():
+    with pytest.raises(ValueError, match="`mode` must be −1, 0 or 1, since Threshold has no reset"):
+        jf.equilibrium(Threshold(jnp.asarray(2.5)), jnp.array([1.0]), mode=2)
