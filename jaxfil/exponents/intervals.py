@@ -1,5 +1,6 @@
 """The intervals of time over which exponents are averaged, their number and their steps."""
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -50,6 +51,22 @@ class Interval(eqx.Module):
     def grid(self, count: Array, steps: Array, start: Array | int = 0) -> TimeGrid:
         """The grid of `count` intervals after the first `start`."""
         return grid_of_periods(self.length, count, steps, start, repeats=self.repeats)
+
+    def part(self, steps: Array, start: Array, begin: Array, end: Array) -> TimeGrid:
+        """The grid of a part of the interval after the first `start`, from one fraction of it to
+        another one, in steps of about the same length."""
+        whole = self.grid(jnp.ones_like(steps), steps, start)
+        num_steps = jnp.ceil((end - begin) * steps.astype(begin.dtype)).astype(jnp.int32)
+        num_steps = jnp.maximum(num_steps, 1)
+        length = (end - begin) * whole.length
+        return dataclasses.replace(
+            whole,
+            t0=whole.t0 + begin * whole.length,
+            length=length,
+            dt=length / num_steps.astype(length.dtype),
+            num_steps=num_steps,
+            forcing=None,
+        )
 
 
 def pace_of(

@@ -6,8 +6,6 @@ the two synchronise, or follows from the rate itself. Stefański and Kapitaniak,
 Nature and Society 4 (2000) 207–215.
 """
 
-from collections.abc import Callable
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -19,6 +17,7 @@ from jaxfil.exponents.coupled import Synchronization, TransverseExponent
 from jaxfil.exponents.distance import away, distance_in, or_one, size_of
 from jaxfil.exponents.drive_response import drive_response
 from jaxfil.exponents.intervals import Interval, Pace, interval_of, pace_of
+from jaxfil.exponents.separation import on_surfaces, parted
 from jaxfil.integrate.lane.problem import Problem, period_outcome
 from jaxfil.integrate.lane.state import is_running
 from jaxfil.integrate.loop.extensions import problem_of
@@ -36,7 +35,6 @@ from jaxfil.model.types import Scalar, State
 from jaxfil.xla.kernel import kernel_if_it_fits
 from jaxfil.xla.lanes import lanes_of
 from jaxfil.xla.select import select
-from jaxfil.xla.thresholds import SEPARATION
 
 # The distances that count as synchronised by default, in sizes of the drive. Each is far above
 # rounding, which a pair that is driven keeps, and far below an attractor.
@@ -151,7 +149,9 @@ def _settle(
         state = integrate(problem, problem.system.unpack(x0))
         # A grid needs a step: without a transient one period is run and discarded.
         moved = transient > 0
-        x = select(moved, pack(state.motion.x, x0.dtype), x0)
+        at, motion = problem.grid.t0 + state.motion.tau, state.motion
+        end = on_surfaces(problem.system, at, motion.x, motion.mode)
+        x = select(moved, pack(end, x0.dtype), x0)
         # A drive may pass near the origin, where it is not as small as its state.
         recent = size_of(pack(state.motion.scale, x0.dtype))
         recent = select(state.result == RESULTS.successful, recent, 0.0)
@@ -242,7 +242,9 @@ def transverse_exponent(
     The drive x runs from `x0` at t = 0. For the last quarter of the `transient` periods the
     response y joins it, as in `drive_response`, at a distance of eps^0.4·|x|, and is reset to that
     distance once a period, so that it aligns with the direction of fastest growth before growth is
-    counted. The rate is zero at the coupling λ1, and λ1 does not depend on the coupling used.
+    counted. Where a period ends between an impact of one of them and the same impact of the other,
+    this is done a part of a period later. The rate is zero at the coupling λ1, and λ1 does not
+    depend on the coupling used.
 
     **Arguments**
 
@@ -310,12 +312,12 @@ def _transverse(
         pair = build(drive_response(system, coupling), z, compact=pace.compact)
         ends = batch_ends(pace.periods, batches)
 
-        def problem(k: Array) -> Problem:
-            grid = interval.grid(jnp.ones_like(pace.steps), pace.steps, alone + k)
+        def problem(k: Array, begin: Array, end: Array) -> Problem:
+            grid = interval.part(pace.steps, alone + k, begin, end)
             return problem_of(pair, tableau_of(pace.stepper), grid)
 
         stops = turning + jnp.append(0, ends)
-        z, result, growth = _parted(problem, z, separation, stops, settled)
+        z, result, growth = parted(problem, z, separation, stops, settled)
         growth = growth[1:]
         times = ends.astype(x.dtype) * interval.length
         growth = select(result == RESULTS.successful, growth, jnp.nan)
@@ -336,36 +338,3 @@ def _transverse(
         )
 
     return kernel_if_it_fits(run, pace.compact)(x, size, coupling)
-
-
-def _parted(
-    problem: Callable[[Array], Problem], z: Array, separation: Array, ends: Array, result: RESULTS
-) -> tuple[Array, RESULTS, Array]:
-    """Drive and response at the end, the outcome, and the growth of the logarithm of their distance
-    over the periods, each a problem, up to each of `ends`."""
-    n = z.shape[0] // 2
-    eps = float(jnp.finfo(z.dtype).eps)
-
-    def period(carry: tuple) -> tuple:
-        k, z, growth, _ = carry
-        now = problem(k)
-        state = integrate(now, now.system.unpack(z))
-        end = pack(state.motion.x, z.dtype)
-        grown = distance_in(state.motion.x, separation)
-        # A smaller distance is unresolved, and would give a wrong but plausible rate.
-        resolved = grown * separation > SEPARATION * eps * size_of(end)
-        growth = growth + select(resolved, jnp.log(grown), jnp.nan)
-        apart = (end[n:] - end[:n]) / select(resolved, grown, 1.0)
-        return k + 1, jnp.concatenate([end[:n], end[:n] + apart]), growth, state.result
-
-    def batch(carry: tuple, stop: Array) -> tuple:
-        k, z, result = carry
-        k, z, growth, result = jax.lax.while_loop(
-            lambda s: (s[0] < stop) & (s[3] == RESULTS.successful),
-            period,
-            (k, z, jnp.zeros_like(separation), result),
-        )
-        return (k, z, result), growth
-
-    (_, z, result), growth = jax.lax.scan(batch, (jnp.zeros_like(ends[0]), z, result), ends)
-    return z, result, growth

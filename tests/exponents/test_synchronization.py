@@ -385,3 +385,61 @@ def test_turning_into_the_growing_direction_is_no_growth(angle):
     found = jf.transverse_exponent(Skewed(jnp.asarray(angle)), jnp.ones(2), **run)
     assert_allclose(found.exponent, -0.1, rtol=0, atol=1e-8)
     assert_allclose(found.running, -0.1, rtol=0, atol=1e-7)
+
+
+class Struck(jf.System):
+    """A ball on a table at B sin(t + φ), with gravity one and a restitution of 1/2."""
+
+    phase: jax.Array
+    slides = False
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -jnp.ones_like(t)])
+
+    def switching(self, t, x):
+        return x[0] - 1.2 * jnp.sin(t + self.phase)
+
+    def reset(self, t, x, surface):
+        rise = 1.2 * jnp.cos(t + self.phase)
+        return jnp.stack([x[0], rise - 0.5 * (x[1] - rise)])
+
+
+@pytest.mark.slow
+def test_impacts_at_the_ends_of_intervals_are_no_growth():
+    # At B cos φ = π/3 it is struck once a period with the velocity π, here at the times 2πk. Its
+    # multipliers are complex, so their modulus is the restitution.
+    phase = np.arccos(np.pi / 3 / 1.2)
+    x0 = jnp.array([1.2 * np.sin(phase), np.pi])
+    run = {"periods": 100, "transient": 20, "steps": 20, "compact": True}
+    found = jf.transverse_exponent(Struck(jnp.asarray(phase)), x0, **run)
+    assert found.result == RESULTS.successful
+    assert_allclose(found.exponent, np.log(0.5) / (2 * np.pi), rtol=0, atol=0.02)
+
+
+class Guided(jf.System):
+    """s' = cos t / 2 − 0.3 s, and a part that is pressed by gravity on a wall at s²/2."""
+
+    e: jax.Array
+    slides = False
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -jnp.ones_like(t), 0.5 * jnp.cos(t) - 0.3 * x[2]])
+
+    def switching(self, t, x):
+        return x[0] - 0.5 * x[2] ** 2
+
+    def reset(self, t, x, surface):
+        rise = x[2] * (0.5 * jnp.cos(t) - 0.3 * x[2])
+        return jnp.stack([x[0], rise - self.e * (x[1] - rise), x[2]])
+
+
+@pytest.mark.release
+def test_a_response_that_lies_on_a_wall_is_put_back_onto_it():
+    # A chord between two points of the wall, longer than between them, ends behind it.
+    x0 = jnp.array([0.0, 0.0, 0.0])
+    run = {"periods": 10, "transient": 12, "steps": 20, "compact": True, "stepper": jf.RK4()}
+    found = jf.transverse_exponent(Guided(jnp.asarray(0.4)), x0, **run)
+    assert found.result == RESULTS.successful
+    assert_allclose(found.exponent, -0.3, rtol=0, atol=1e-5)
