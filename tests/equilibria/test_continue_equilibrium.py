@@ -230,24 +230,3 @@ def test_a_branch_ends_where_a_rest_would_be_felt_by_the_field():
     assert_allclose(branch.values[[0, -1]], [0.5, 0.0], **CLOSE)
     assert branch.ended[1].startswith("the boundary at surface 0 was met at ")
     assert np.all(branch.equilibria.mode == 1)
-
-
-def test_a_weight_that_is_zero_to_rounding_has_a_scale():
-    """ẋ₁ = ±0.3 on the two sides, w = 0 up to the rounding of 0.1 + 0.2, and x₀ = c."""
-
-    class Balanced(jf.System):
-        c: jax.Array
-
-        def vector_field(self, t, x, side):
-            push = jnp.where(side > 0, -0.3, 0.1 + 0.2)
-            return jnp.stack([self.c - x[0], push])
-
-        def switching(self, t, x):
-            return x[1]
-
-    system = Balanced(jnp.asarray(0.5))
-    start = jf.equilibrium(system, jnp.array([0.4, 0.0]))
-    branch = jf.continue_equilibrium(system, "c", start, stop=2.0)
-    assert start.kind == "pseudo" and branch.ended[1] == "c = 2 was reached"
-    assert_allclose(branch.equilibria.x[:, 0], branch.values, **CLOSE)
-    assert branch.values.size < 100
