@@ -122,7 +122,7 @@ def evaluate_step_end(
     # rates are evaluated there, and the mode is decided from them.
     at, led = _surfaces_at(problem, state, t, maps.x, maps), None
     later = later_contacts(problem, state) if maps.reset is None else maps.reset.waits
-    x = _held(problem, state, maps.x, at, later)
+    x = _held(problem, state, t, maps.x, at, later)
     if maps.reset is not None:
         x, led = resets.lead(problem, state, length, maps.reset, t, x, at)
         later = led.next
@@ -354,7 +354,12 @@ def _smooth_end(
 
 
 def _held(
-    problem: Problem, state: LoopState, x: Components, at: Surfaces, later: Components | None
+    problem: Problem,
+    state: LoopState,
+    t: Array,
+    x: Components,
+    at: Surfaces,
+    later: Components | None,
 ) -> Components:
     """The state projected onto the surfaces that it slides or rests on or has just reached, so that
     a slide of any length stays exactly on its surface. Surfaces that it has been moved off, or that
@@ -369,7 +374,17 @@ def _held(
     if later is not None:
         landed = landed & ~later
     stays = stays_on(system, state.motion.mode)
+    on = (stays | landed) & ~off
     # At a switch the way back to a surface that was stayed on is along the field, not the normal;
     # `held_from_here` has its derivative.
     h = where(state.pending.waits & stays, stop_gradient(at.h), at.h)
-    return system.hold(project(system, x, h, at.normals, (stays | landed) & ~off))
+    x = project(system, x, h, at.normals, on)
+    if not system.structure.flat:
+        # Of a step with an error d the normal leaves d² of H, from which a run that is continued
+        # would start beside its surface, or beyond it.
+        def again(x: Components) -> Components:
+            h, _, normals = system.gradients(t, x)
+            return project(system, x, h, normals, on)
+
+        x = system.where_any(any_of(on), again, lambda x: x, x)
+    return system.hold(x)

@@ -32,6 +32,8 @@ class Structure:
     hold the motion on it. For the position of a mass it is not."""
     kinked: bool
     """Whether H or the field on constant sides may have a kink where time and state move."""
+    flat: bool
+    """Whether all H_j are affine in the state."""
     members: tuple[tuple[int, ...], ...] | None
     """The numbers of the state that each of several surfaces depends on; None if two surfaces share
     one."""
@@ -58,6 +60,7 @@ def of(
     switched = tuple(tuple(j for j in range(m) if seen[j][i]) for i in range(n))
     moving = nothing[0], True, jax.tree.map(lambda _: True, of_number[0])
     steady = jax.tree.map(lambda _: False, of_side[0]) if of_side else Components(())
+    flat = switching.is_affine(*nothing, moving[2])
     kinked = field.is_kinked(*moving, steady, *none) or switching.is_kinked(*moving)
     steers = [_flat(switching.depends(*nothing, number)) for number in of_number]
     numbers = [steer for steer, sides in zip(steers, switched, strict=True) if sides]
@@ -65,7 +68,13 @@ def of(
     if m < 2:
         # The two sides of a single surface determine all blends, affine or not.
         return Structure(
-            switched, separate=m == 1, affine=False, steered=steered, kinked=kinked, members=None
+            switched=switched,
+            separate=m == 1,
+            affine=False,
+            steered=steered,
+            kinked=kinked,
+            flat=flat,
+            members=None,
         )
     # Reactions of different sides multiply different vectors, so a field with reactions counts as
     # affine in at most one side.
@@ -79,6 +88,7 @@ def of(
         affine=affine,
         steered=steered,
         kinked=kinked,
+        flat=flat,
         members=_members(np.array(steers)),
     )
 
