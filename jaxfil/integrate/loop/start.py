@@ -210,6 +210,8 @@ def _start(problem: Problem, x: Components) -> Start:
     h, h_t, normals = system.gradients(t, x)
     f = system.field(t, x, h.like(jnp.ones_like(t)))
     way = stop_gradient(abs(typical_step(problem) * f))
+    # The field of a side on which the motion is not need not be finite.
+    way = where(way < jnp.inf, way, 0.0)
     # Of a state beside zero, at which an earlier run has landed, the rounding of the landing.
     landed = scale + 2 * NOISE * system.eps * way
     inner = noise = surface_noise(system, t, x, landed, h_t, normals)

@@ -377,6 +377,24 @@ def test_a_contact_within_rounding_of_a_cut_is_of_one_of_two_runs(system):
     assert_within(slopes, np.tile(slope, (121, 1)), 1e-9)
 
 
+class Rooted(jf.System):
+    """A speed of 1 below 0, and above it one that is not a number at the start."""
+
+    slides: ClassVar[bool] = False
+
+    def vector_field(self, t, x, side):
+        return jnp.where(side > 0, jnp.sqrt(x + 0.5), 1.0)
+
+    def switching(self, t, x):
+        return x[0]
+
+
+def test_a_start_beside_a_field_that_is_not_a_number_crosses_into_it():
+    sol = solve(Rooted(), [-1.0], 1.5)
+    assert int(sol.num_events) == 1
+    assert_within(sol.x_final, [(0.25 + np.sqrt(0.5)) ** 2 - 0.5], 1e-6)
+
+
 class InTime(Setting):
     def switching(self, t, x):
         return t - 1
