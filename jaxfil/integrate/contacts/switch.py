@@ -201,7 +201,7 @@ def _in_turn(
     # If the next switch decides again, a decision without any mode is not a failure yet.
     redone, count = again, select(again, jnp.maximum(choice.count, 1), choice.count)
     if later is not None:
-        # While some surfaces have sides that the state is not on, one with several is none either.
+        # While some surfaces have sides that the state is not on, several modes are no failure.
         carried = any_of(later) & (maps.moved | state.pending.jumped)
         redone, count = redone | carried, select(carried, 1, count)
     kept = where(others & (cause | redone), mode, choice.mode)
@@ -209,8 +209,8 @@ def _in_turn(
 
 
 def _alike(system: ComponentSystem, before: Components, after: Components) -> Components:
-    """The surfaces whose mode changes as that of the lowest one does: to be held, to be no longer
-    held, or from side to side."""
+    """The surfaces whose mode changes in the same way as the lowest one's: to be held, to be no
+    longer held, or from side to side."""
     one = jnp.ones((), system.dtype)
     ways = where(stays_on(system, before), one, 0.0 * one)
     ways = where(stays_on(system, after), 2.0 * one, ways)

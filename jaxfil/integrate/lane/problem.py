@@ -152,7 +152,7 @@ class Recorder(eqx.Module):
     """
 
     name: ClassVar[str] = "t1"
-    """The name in messages, which is that of the argument of `diffrax.SaveAt` if there is one."""
+    """The name in messages; the argument of `diffrax.SaveAt` if there is one."""
     at_known_times: ClassVar[bool] = True
     """Whether the saving times are independent of the steps."""
     follows_contacts: ClassVar[bool] = False

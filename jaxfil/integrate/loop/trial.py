@@ -58,7 +58,7 @@ def try_step(problem: Problem, state: LoopState) -> Tried:
 def try_step_in_reverse(problem: Problem, state: LoopState) -> tuple[Tried, Array]:
     """The trial step of an iteration for reverse mode, and whether its end is not finite. Such a
     step is refused, and its numbers take no part in derivatives; its end is the start."""
-    # The tables of a loop with checkpoints are no arrays, and a trial step needs none.
+    # The tables of a loop with checkpoints are no arrays; a trial step does not use them.
     bare = dataclasses.replace(state, table=None, saves=None, extensions=())
     tried = only_if_valid(_valid_step, problem, bare)
     infinite, start = tried.infinite, state.motion

@@ -209,7 +209,7 @@ def observed(
     before = select(forward, as_next & ~as_last, as_last & ~as_next) if both else None
 
     def value(*row: Any) -> Array:
-        # Unreached entries are computed too, and those of a lane that has failed.
+        # Unreached entries and failed lanes are computed too.
         reached, values = only_if_valid(_value, around, x0, start, *row)
         return select(reached, values, jnp.inf).reshape(observable.shape)
 

@@ -156,7 +156,7 @@ def controlled(tolerance: Adaptive, stepper: Any) -> Controlled:
     """The requested stepper, checked, with a tolerance."""
     method = checked_stepper(stepper)
     tableau = tableau_of(method)
-    # The limits of a crude estimate are those of unstable steps (`error_estimate`).
+    # The limits of a crude estimate detect unstable steps alone (`error_estimate`).
     if tableau.crude or not tableau.d:
         raise ValueError(
             "`stepper` must have an error estimate if steps follow a tolerance, such as "
