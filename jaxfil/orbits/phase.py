@@ -20,6 +20,11 @@ def phased_like(orbit: Orbit, u: np.ndarray, other: np.ndarray) -> np.ndarray:
     lengths = np.sum(steps**2, axis=1)
     parts = np.clip(np.sum(steps * away, axis=1) / np.where(lengths == 0, 1, lengths), 0, 1)
     distances = np.sum((away - parts[:, None] * steps) ** 2, axis=1)
+    if orbit.system.resets and run.events is not None:
+        # A step with a reset in it jumps, past states that are not on the orbit.
+        hits = np.asarray(run.events.ts)
+        hits = hits[np.isfinite(hits)] - np.asarray(run.ts)[0]
+        distances[(np.searchsorted(ts, hits) - 1).clip(0, distances.size - 1)] = np.inf
     k = int(np.argmin(distances))
     first = ts[k] + parts[k] * (ts[k + 1] - ts[k])
     at = (first + np.arange(m) * ts[-1] / m) % ts[-1]

@@ -480,6 +480,37 @@ def test_orbits_at_values_where_a_contact_passes_the_phase_of_shooting():
         assert bool(found.stable)
 
 
+class Dripping(jf.System):
+    """A drop grows with V' = 1 and falls at 1 + h/2, with h := r h (1 − h)."""
+
+    r: jax.Array
+    slides = False
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([jnp.ones_like(t), jnp.zeros_like(t)])
+
+    def switching(self, t, x):
+        return 1 + 0.5 * x[1] - x[0]
+
+    def reset(self, t, x, surface):
+        return jnp.stack([0 * x[0], self.r * x[1] * (1 - x[1])])
+
+
+@pytest.mark.slow
+def test_a_doubled_orbit_with_resets_does_not_return_to_its_start():
+    """A straight line over a reset passes nearer to the start than the orbit does. The logistic map
+    doubles at 3 and 1 + √6."""
+    steps = {"steps": 8, "stepper": jf.RK4()}
+    start = jnp.array([0.3, 1 - 1 / 2.9])
+    orbit = jf.periodic_orbit(Dripping(jnp.float64(2.9)), start, period=1.33, **steps)
+    single = jf.continue_orbit(orbit.system, "r", orbit, stop=3.1)
+    (point,) = single.points
+    doubled = jf.continue_orbit(orbit.system, "r", point, stop=3.5)
+    assert doubled.ended[1] == "r = 3.5 was reached"
+    assert [p.kind for p in doubled.points] == ["period-doubling"]
+    assert_allclose([point.value, doubled.points[0].value], [3, 1 + np.sqrt(6)], rtol=1e-9)
+
+
 class Ticked(jf.System):
     """x' = −x, and x + 1 at the time late in each period, without a surface."""
 
