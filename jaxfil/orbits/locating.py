@@ -95,13 +95,13 @@ def _zero(
     """The fraction of the distance between two points at which a test function changes its sign, by
     Alefeld, Potra and Shi's algorithm 748, or None if the curve is lost, and the last point on
     it."""
-    last, zero = None, _ZERO * min(1.0, max(abs(test(a)), abs(test(b))))
+    last, ends = None, (test(a), test(b))
+    zero = _ZERO * min(1.0, max(map(abs, ends)))
 
     def value(part: float) -> float:
         nonlocal last
-        # The ends are known.
         if part in (0.0, 1.0):
-            return test(b if part else a)
+            return ends[int(part)]
         place = _place_at(curve, a, b, part)
         found = np.nan if place is None else place.value(test)
         if place is None or not np.isfinite(found):
