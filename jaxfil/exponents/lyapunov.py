@@ -69,8 +69,7 @@ class LyapunovSpectrum(eqx.Module):
         return draw(self, ax=ax)
 
     def __repr__(self) -> str:
-        exponents = self.exponents
-        return average_card(self, exponents)
+        return average_card(self, self.exponents)
 
 
 def lyapunov_spectrum(

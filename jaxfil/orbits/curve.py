@@ -112,10 +112,8 @@ def crossings(
     folded = which >= len(values)
     after = np.append(ahead[1:], np.nan)
     for i in np.flatnonzero((ahead * after < 0) | ((ahead == 0) & ~folded)).tolist():
-        part, j = (
-            0.0 if ahead[i] == 0 else ahead[i] / (ahead[i] - after[i]),
-            min(i + 1, len(which) - 1),
-        )
+        part = 0.0 if ahead[i] == 0 else ahead[i] / (ahead[i] - after[i])
+        j = min(i + 1, len(which) - 1)
         # Beside a fold the value is the square of the distance from it.
         if folded[i]:
             part = part**0.5

@@ -60,9 +60,13 @@ def quiet_between(a: Orbit, b: Orbit, t0: float) -> float | None:
     if best == 0 and float(a.options.t0) == float(b.options.t0):
         return None
     low, high = np.maximum(first, turned(best)), np.minimum(first, turned(best))
-    gaps = np.append(high[1:], high[0] + 1) - low
-    longest = int(np.argmax(gaps))
-    return float((low[longest] + 0.5 * gaps[longest]) % 1.0)
+    return _middle_of_longest(low, np.append(high[1:], high[0] + 1))
+
+
+def _middle_of_longest(starts: np.ndarray, ends: np.ndarray) -> float:
+    """The middle of the longest of some intervals, as a phase."""
+    longest = int(np.argmax(ends - starts))
+    return float((starts[longest] + 0.5 * (ends - starts)[longest]) % 1.0)
 
 
 def state_at(orbit: Orbit, t0: float, part: float) -> Array:
@@ -92,9 +96,7 @@ def quiet_phase(problem: OrbitProblem, point: OrbitPoint) -> float | None:
     phases = contact_phases(problem, point)
     if not phases.size or np.min(np.minimum(phases, 1 - phases)) > _NEAR:
         return None
-    gaps = np.diff(np.append(phases, phases[0] + 1))
-    longest = int(np.argmax(gaps))
-    return float((phases[longest] + 0.5 * gaps[longest]) % 1.0)
+    return _middle_of_longest(phases, np.append(phases[1:], phases[0] + 1))
 
 
 def problem_at(problem: OrbitProblem, t0: float) -> OrbitProblem:

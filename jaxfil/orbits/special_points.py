@@ -67,6 +67,11 @@ def special_orbits(
     yield from _zeros(curve, a, b)
 
 
+def _heights(point: OrbitPoint) -> np.ndarray:
+    """|μ| − 1 of all multipliers, in falling order."""
+    return np.sort(abs(_multipliers(point)) - 1)[::-1]
+
+
 def overlooked(
     curve_at: Callable[[OrbitPoint], Curve[OrbitPoint]],
     points: Sequence[OrbitPoint],
@@ -74,7 +79,7 @@ def overlooked(
 ) -> Iterator[Special[OrbitPoint]]:
     """Points at which multipliers cross the unit circle in several steps, given the curve of each
     point and the special points that are known."""
-    heights = np.array([np.sort(abs(_multipliers(point)) - 1)[::-1] for point in points])
+    heights = np.array([_heights(point) for point in points])
     pairs = itertools.pairwise(points)
     alike = np.array([a.sequence == b.sequence and a.t0 == b.t0 for a, b in pairs], bool)
     known = [s.index for s in special if s.kind in (DOUBLING, PAIR)]
@@ -82,7 +87,7 @@ def overlooked(
         a, b = points[i : i + 2]
 
         def height(point: OrbitPoint, rank: int = rank) -> float:
-            return float(np.sort(abs(_multipliers(point)) - 1)[::-1][rank])
+            return float(_heights(point)[rank])
 
         point = zero_on_curve(curve_at(a), a, b, height)
         kind = None if point is None else kind_on_circle(_multipliers(point))

@@ -16,6 +16,7 @@ from jaxfil.integrate.surfaces.corners import Corners, corner_sides
 from jaxfil.integrate.system import lowered
 from jaxfil.integrate.system.components import Components
 from jaxfil.model.parameter import cast
+from tests.problems.systems import Guided
 from tests.problems.values import CUBIC_LYAPUNOV
 
 BELT = jf.systems.BeltFriction(omega=4.6)
@@ -415,24 +416,6 @@ def test_impacts_at_the_ends_of_intervals_are_no_growth():
     found = jf.transverse_exponent(Struck(jnp.asarray(phase)), x0, **run)
     assert found.result == RESULTS.successful
     assert_allclose(found.exponent, np.log(0.5) / (2 * np.pi), rtol=0, atol=0.02)
-
-
-class Guided(jf.System):
-    """s' = cos t / 2 − 0.3 s, and a part that is pressed by gravity on a wall at s²/2."""
-
-    e: jax.Array
-    slides = False
-    period = 2 * np.pi
-
-    def vector_field(self, t, x, side):
-        return jnp.stack([x[1], -jnp.ones_like(t), 0.5 * jnp.cos(t) - 0.3 * x[2]])
-
-    def switching(self, t, x):
-        return x[0] - 0.5 * x[2] ** 2
-
-    def reset(self, t, x, surface):
-        rise = x[2] * (0.5 * jnp.cos(t) - 0.3 * x[2])
-        return jnp.stack([x[0], rise - self.e * (x[1] - rise), x[2]])
 
 
 @pytest.mark.release

@@ -4,6 +4,8 @@ Numbers enter; modules leave. A field that is affine on each side of a line, or 
 quadrant of two, has contacts, slides and corners at times that are fractions.
 """
 
+import math
+
 import jax
 import jax.numpy as jnp
 
@@ -158,3 +160,21 @@ class ShakenTable(jf.System):
     def reset(self, t, x, surface):
         table = self.a * jnp.cos(t)
         return jnp.stack([x[0], table - self.restitution * (x[1] - table)])
+
+
+class Guided(jf.System):
+    """s' = cos t / 2 − 0.3 s, and a part that is pressed by gravity on a wall at s²/2."""
+
+    e: jax.Array
+    slides = False
+    period = 2 * math.pi
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -jnp.ones_like(t), 0.5 * jnp.cos(t) - 0.3 * x[2]])
+
+    def switching(self, t, x):
+        return x[0] - 0.5 * x[2] ** 2
+
+    def reset(self, t, x, surface):
+        rise = x[2] * (0.5 * jnp.cos(t) - 0.3 * x[2])
+        return jnp.stack([x[0], rise - self.e * (x[1] - rise), x[2]])

@@ -222,9 +222,8 @@ def _without_undefined(before: Motion, motion: Motion, redone: Array) -> Motion:
     """A motion between two maps, with the last numbers that are defined. The field of a side that
     the state has been carried away from, such as the root of a level, need not be defined here."""
     undefined = redone & ~all_finite(motion.f, motion.g, motion.rate)
-    known = dataclasses.replace(before, tau=motion.tau, x=motion.x, scale=motion.scale)
-    known = dataclasses.replace(known, mode=motion.mode)
-    return select_all(undefined, known, motion)
+    kept = {"tau": motion.tau, "x": motion.x, "scale": motion.scale, "mode": motion.mode}
+    return select_all(undefined, dataclasses.replace(before, **kept), motion)
 
 
 def _members(state: LoopState, maps: Maps, motion: Motion, later: Components | None) -> Components:

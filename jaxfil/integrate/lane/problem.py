@@ -61,7 +61,7 @@ class TimeGrid(eqx.Module):
     """The factor on the usual error limit at which a step is halved; None stands for 1."""
     end: Array | None = None
     """The time at the end, which t0 + length misses by rounding; None stands for that sum. Ticks of
-    clocks belong to a run by its two ends (`clocks.last_ticks`)."""
+    clocks belong to a run by its two ends (`lane/clocks`)."""
 
     @property
     def direction(self) -> Array:

@@ -15,6 +15,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import jaxfil as jf
+from tests.problems.systems import Guided
 from tests.results import assert_within, outcome_names, table
 
 EPS = np.finfo(float).eps
@@ -546,22 +547,6 @@ def test_impacts_that_die_out_at_a_tick_go_on_from_there(system):
         assert_within(after.x_final[:, 0], rise, 64 * EPS * (k + 1))
 
 
-class Guided(jf.System):
-    """A ball on a guide that is moved under it, H = q − s²/2, which throws it back."""
-
-    slides = False
-
-    def vector_field(self, t, x, side):
-        return jnp.stack([x[1], -jnp.ones_like(t), 0.5 * jnp.cos(t) - 0.3 * x[2]])
-
-    def switching(self, t, x):
-        return x[0] - 0.5 * x[2] ** 2
-
-    def reset(self, t, x, surface):
-        rise = x[2] * (0.5 * jnp.cos(t) - 0.3 * x[2])
-        return jnp.stack([x[0], rise - 0.4 * (x[1] - rise), x[2]])
-
-
 @pytest.mark.slow
 def test_a_run_goes_on_at_rest_on_a_curved_wall():
     """One projection after a coarse step leaves H = −8e-16, four times its rounding, from where the
@@ -570,7 +555,7 @@ def test_a_run_goes_on_at_rest_on_a_curved_wall():
 
     def run(x, t0, t1):
         kept = dict(stepper=jf.RK4(), max_events=64, compact=True)
-        return jf.solve(Guided(), x, t0, t1, T / 20, **kept)
+        return jf.solve(Guided(jnp.asarray(0.4)), x, t0, t1, T / 20, **kept)
 
     first = run(jnp.zeros(3), 0.0, 9 * T)
     q, _, s = first.x_final
