@@ -63,7 +63,7 @@ def parted(
             k + done.astype(k.dtype),
             select(done, 0, end),
             ~measures,
-            pack(on_surfaces(now.system, t, z, state.motion.mode), dtype),
+            pack(_on_surfaces(now.system, t, z, state.motion.mode), dtype),
             growth,
             state.result,
         )
@@ -97,10 +97,10 @@ def _is_comparable(
     return ~(closest < _CLOSER * distance)
 
 
-def on_surfaces(system: ComponentSystem, t: Array, z: Components, mode: Components) -> Components:
+def _on_surfaces(system: ComponentSystem, t: Array, z: Components, mode: Components) -> Components:
     """A state beside one in this mode, on the surfaces that it slides or rests on, so that a run
-    from there does so too. The end of a crude step along a curved wall, a chord of it, or the
-    rounding of a distance that has shrunk may be behind the wall."""
+    from there does so too. A distance that has shrunk leads along a chord of a curved wall, which
+    may be behind it."""
     if system.m == 0 or not (system.slides or system.resets):
         return z
     h, _, normals = system.gradients(t, z)

@@ -17,7 +17,7 @@ from jaxfil.exponents.coupled import Synchronization, TransverseExponent
 from jaxfil.exponents.distance import away, distance_in, or_one, size_of
 from jaxfil.exponents.drive_response import drive_response
 from jaxfil.exponents.intervals import Interval, Pace, interval_of, pace_of
-from jaxfil.exponents.separation import on_surfaces, parted
+from jaxfil.exponents.separation import parted
 from jaxfil.integrate.lane.problem import Problem, period_outcome
 from jaxfil.integrate.lane.state import is_running
 from jaxfil.integrate.loop.extensions import problem_of
@@ -149,9 +149,7 @@ def _settle(
         state = integrate(problem, problem.system.unpack(x0))
         # A grid needs a step: without a transient one period is run and discarded.
         moved = transient > 0
-        at, motion = problem.grid.t0 + state.motion.tau, state.motion
-        end = on_surfaces(problem.system, at, motion.x, motion.mode)
-        x = select(moved, pack(end, x0.dtype), x0)
+        x = select(moved, pack(state.motion.x, x0.dtype), x0)
         # A drive may pass near the origin, where it is not as small as its state.
         recent = size_of(pack(state.motion.scale, x0.dtype))
         recent = select(state.result == RESULTS.successful, recent, 0.0)

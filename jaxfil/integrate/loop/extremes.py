@@ -167,6 +167,8 @@ class Extremes(Extension):
         at = self._now(own, self._seen(problem, there))
         inside = self._further(problem, state, there, own, at, path, smooth)
         opens = crossed & self.window.is_open(after) & ~self.window.is_open(state)
+        if step.between is not None:
+            crossed = crossed & ~step.between
         return after, dataclasses.replace(
             found,
             places=select_all(crossed, inside.places, found.places),
