@@ -225,7 +225,8 @@ def _follow(
     leaves = state.pending.surfaces & resting & ~reset.moved & ~limit
     still = on & ((abs(rate) <= noise) | limit) & ~leaves
     outward = direction * sides * rate
-    away = (reset.moved | state.pending.jumped) & resting & (outward > noise)
+    # A rest ends where a map throws the state off, or leaves a reset that throws nothing back.
+    away = (reset.moved | state.pending.jumped) & resting & ((outward > noise) | ~reverses)
     jumped = reset.moved | state.settled | state.pending.jumped
     # A map may also leave the state exactly on a surface that lets it pass, and that it then moves
     # across; or that surface would be reached at the same rounded time. A surface whose reset has

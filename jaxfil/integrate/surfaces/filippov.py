@@ -373,10 +373,9 @@ def _choose_on_one(
     level = (above == 0) & (below == 0)
     decided = on
     if following is not None:
-        next_above, next_below = following[0], following[1]
-        up = where(is_flat(above, rates), sign(next_above), up)
-        down = where(is_flat(below, rates), sign(next_below), down)
-        decided = on & ~(level & (next_above == 0) & (next_below == 0))
+        up = where(is_flat(above, rates), sign(following[0]), up)
+        down = where(is_flat(below, rates), sign(following[1]), down)
+        decided = on & ~(level & (following[0] == 0) & (following[1] == 0))
     plus, minus = up > 0, down < 0
     # Equal rates with this sign are both zero, and have no weight.
     slide = (up * down <= 0) & ~level
@@ -388,8 +387,9 @@ def _choose_on_one(
     count = plus.astype(jnp.int32) + minus.astype(jnp.int32) + slide.astype(jnp.int32)
     # With several modes the lane ends as not unique, whichever is taken.
     side = where(plus, 1.0, where(minus, -1.0, 0.0)).astype(direction.dtype)
-    chosen = where(decided & (count > 0), side, mode)
-    return chosen, _count_of_all(where(decided, count, 1))
+    # Of a slide that nothing holds any more, and that stands still, it is side +, as at a start.
+    stays = where(on & ~decided & (mode == 0), jnp.ones_like(direction), mode)
+    return where(decided & (count > 0), side, stays), _count_of_all(where(decided, count, 1))
 
 
 def _count_of_all(counts: Components) -> Array:
