@@ -167,6 +167,7 @@ def evaluate_step_end(
         members=_members(state, maps, motion, later),
         next=later,
         again=again,
+        ticks=_ticks_again(problem, state, length.end),
         misfit=None,
         jump=None,
         still=None,
@@ -176,6 +177,13 @@ def evaluate_step_end(
         end = _led_on(end, led)
     end = _to_later(problem, state, end)
     return accumulation.follow_turns(problem, state, length, end, maps.reset)
+
+
+def _ticks_again(problem: Problem, state: LoopState, tau: Array) -> Array | None:
+    """Whether the tick of another clock follows the one that waits."""
+    if len(problem.system.clocks) < 2 or problem.tick is None:
+        return None
+    return state.pending.waits & problem.ticks_at(tau)
 
 
 def _in_turn(
@@ -345,6 +353,7 @@ def _smooth_end(
         members=none,
         next=None,
         again=None,
+        ticks=_ticks_again(problem, state, tau),
         misfit=None,
         jump=None,
         still=None,

@@ -256,3 +256,9 @@ class Problem(eqx.Module):
         # The last term is a floor, so that the rounding is not zero at t = 0.
         size = jnp.maximum(jnp.maximum(abs(t0 + tau), abs(tau)), 1e-3 * abs(dt))
         return SAME_TIME * self.system.eps * size_of_time(clocks, size)
+
+    def ticks_at(self, tau: Array) -> Array:
+        """Whether the next tick is at the elapsed time `tau`, or within rounding of it."""
+        assert self.tick is not None
+        ahead = stop_gradient(self.tick - tau) * self.grid.direction
+        return ahead <= self.same_time(tau)

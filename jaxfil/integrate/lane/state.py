@@ -227,6 +227,8 @@ class StepEnd(eqx.Module):
     """Surfaces that need another switch at the same time; None if no surface can."""
     again: Array | None
     """Whether all other surfaces need another switch, after a jump; None without jumps."""
+    ticks: Array | None
+    """Whether the tick of another clock follows at the same time; None without several clocks."""
     misfit: Array | None
     """Whether surfaces cannot be decided one after the other; None if they never are."""
     jump: Array | None
@@ -242,12 +244,15 @@ class StepEnd(eqx.Module):
     def between(self) -> Array | None:
         """Whether another switch follows at the same time; None if none can. The state is then one
         between two maps, and its mode is not decided yet."""
-        if self.next is None:
-            return self.again
-        follows = any_of(self.next)
-        if self.jump is not None:  # time passes before the next switch
-            follows = follows & ~(self.jump > 0)
-        return follows if self.again is None else follows | self.again
+        follows = self.again
+        if self.next is not None:
+            due = any_of(self.next)
+            if self.jump is not None:  # time passes before the next switch
+                due = due & ~(self.jump > 0)
+            follows = due if follows is None else follows | due
+        if self.ticks is None:
+            return follows
+        return self.ticks if follows is None else self.ticks | follows
 
 
 def tables_of(state: LoopState) -> list[Any]:

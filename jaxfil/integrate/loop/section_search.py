@@ -203,7 +203,6 @@ def _look(
         tau=tau,
         tau_low=tau_low,
         x=x,
-        result=watched.outcome(state.result, watch.aim, behind.counts, recorded & finite),
     )
 
 
@@ -302,6 +301,10 @@ def _approach(
     )
     # Where S only touches zero, its rate does not determine the time.
     timed = (inside | (size <= known)) & ~owed
+    # By rounding Newton may lead to before the step, where a run that goes on from the crossing
+    # would have the contact or the tick at the start of the step again.
+    early = stop_gradient(at + delta) * grid.direction < 0
+    delta = select(early, delta - stop_gradient(at + delta), delta)
     return closer, select(timed, delta, 0.0), done & watch.seeking & any_of(watch.aim)
 
 
@@ -319,7 +322,13 @@ def _follow(
     watch = select_all(step.moved | step.lands, there, watch)
     watch = select_all(seen.seeks, seen.watch, watch)
     recorded, table = seen.recorded & seen.seeks, own.table
-    result = RESULTS.where(recorded, seen.result, after.result)
+    # A run that ends at a crossing has all maps at that time, and its state is the one after them.
+    ended = (recorded | step.switched) & ~after.pending.waits
+    ended = ended & (after.result == RESULTS.successful)
+    if problem.tick is not None:
+        tau = select(recorded, seen.tau, after.motion.tau)
+        ended = ended & ~(problem.ticks_at(tau) & (problem.grid.direction > 0))
+    result = watched.outcome(after.result, watch.counts, ended)
     if table is not None:
         size, i = table.ts.shape[0], own.watch.total
         i = i if watched.unseen is None else i - watched.unseen

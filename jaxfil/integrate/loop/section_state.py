@@ -73,8 +73,6 @@ class Seen(eqx.Module):
     """State at the crossing."""
     mode: Components
     """Mode at the crossing."""
-    result: RESULTS
-    """The outcome of the run after the crossing."""
 
 
 def unwatched(bounds: tuple[bool, ...], zero: Array) -> Watch:

@@ -89,16 +89,14 @@ class WatchedSections(eqx.Module):
 
         return function
 
-    def outcome(
-        self, result: RESULTS, aim: Components, counts: Components, recorded: Array
-    ) -> RESULTS:
-        """The outcome of a run after a crossing of the section `aim`, if it is `recorded`, given
-        the one before and the number of crossings of each section."""
-        each = zip(aim.parts, counts.parts, self.terminal, self.bounds, strict=True)
-        for aimed, count, last, bound in each:
+    def outcome(self, result: RESULTS, counts: Components, ended: Array) -> RESULTS:
+        """The outcome of a run, given the one before, the number of crossings of each section, and
+        whether the run may have `ended` here."""
+        each = zip(counts.parts, self.terminal, self.bounds, strict=True)
+        for count, last, bound in each:
             if last is not None:
                 outcome = RESULTS.out_of_bounds if bound else RESULTS.section_reached
-                result = RESULTS.where(recorded & aimed & (count >= last), outcome, result)
+                result = RESULTS.where(ended & (count >= last), outcome, result)
         return result
 
 

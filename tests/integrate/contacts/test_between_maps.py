@@ -293,3 +293,76 @@ def test_each_spike_of_an_avalanche_crosses_the_levels_that_it_jumps_across():
     right = [counted(*lane, 6.05) for lane in zip(starts, rates, levels, strict=True)]
     np.testing.assert_array_equal(found[:, :2], right)
     np.testing.assert_array_equal(found[:, 2], np.sum(right, axis=-1))
+
+
+class Store(jf.System):
+    """A store that is used up at the rate of 1, with a delivery of 10 every 2 and a loss of 30 %
+    every 1: at t = 2 it has 0.4, then 10.4, then 7.28."""
+
+    clocks = (jf.Clock(2.0), jf.Clock(1.0))
+
+    def vector_field(self, t, x, side):
+        return -1.0 + 0 * x
+
+    def tick(self, t, x, clock):
+        return jnp.where(clock == 0, x + 10.0, 0.7 * x)
+
+
+class StoreAboveItsFloor(Store):
+    """The same with a surface that is never reached."""
+
+    def switching(self, t, x):
+        return x[0] + 100.0
+
+
+class TwoNeurons(jf.System):
+    """x0' = 1 and x1' = 0.05 with thresholds at 1; each that fires kicks the other by 0.2."""
+
+    slides = False
+
+    def vector_field(self, t, x, side):
+        return jnp.array([1.0, 0.05])
+
+    def switching(self, t, x):
+        return 1 - x
+
+    def reset(self, t, x, surface):
+        return jnp.where(jnp.arange(2, dtype=surface.dtype) == surface, 0.0, x + 0.2)
+
+
+CUT = [
+    (Store(), [3.0], lambda t, x: x[0] - 8.0, 1, 2.5, [6.78]),
+    (StoreAboveItsFloor(), [3.0], lambda t, x: x[0] - 8.0, 1, 2.5, [6.78]),
+    # The tick at the time of the section belongs to the run that ends there.
+    (Store(), [3.0], lambda t, x: t - 2.0, 1, 2.5, [6.78]),
+    (TwoNeurons(), [0.0, 0.9], lambda t, x: x[0] - 0.6, -1, 1.5, [0.7, 0.025]),
+]
+
+
+@pytest.mark.parametrize(
+    "system, x0, section, direction, t1, end", CUT, ids=["store", "floor", "time", "neurons"]
+)
+def test_a_run_that_ends_between_two_maps_ends_after_the_last(
+    system, x0, section, direction, t1, end
+):
+    """So that the run from there is the rest of the whole one, with the derivative of it."""
+    last = jf.Section(section, direction=direction, terminal=1)
+
+    def chained(x0):
+        first = jf.solve(system, x0, 0.0, t1, 0.05, sections=last)
+        return jf.solve(system, first.x_final, first.t_final, t1, 0.05).x_final
+
+    x0 = jnp.array(x0)
+    whole = jf.solve(system, x0, 0.0, t1, 0.05).x_final
+    np.testing.assert_allclose(whole, end, rtol=1e-13)
+    np.testing.assert_allclose(chained(x0), whole, rtol=1e-13)
+    slopes = jax.jacfwd(lambda x: jf.solve(system, x, 0.0, t1, 0.05).x_final)(x0)
+    np.testing.assert_allclose(jax.jacfwd(chained)(x0), slopes, atol=1e-13)
+
+
+def test_a_bound_between_two_maps_ends_the_run_after_the_last():
+    full = jf.bound(lambda t, x: 8.0 - x[0])
+    sol = jf.solve(Store(), jnp.array([3.0]), 0.0, 2.5, 0.05, sections=full, throw=False)
+    assert sol.result == jf.RESULTS.out_of_bounds
+    np.testing.assert_allclose(sol.t_final, 2.0, rtol=1e-15)
+    np.testing.assert_allclose(sol.x_final, [7.28], rtol=1e-13)
