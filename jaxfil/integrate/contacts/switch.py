@@ -198,20 +198,21 @@ def _in_turn(
     hit = state.pending.surfaces if later is None else state.pending.surfaces & ~later
     if maps.reset is not None:
         hit = where(maps.reset.moved, maps.reset.acted, hit)
-    switching = state.pending.waits & ~state.pending.grazes
-    cause, changed = switching & (any_of(hit) | maps.moved), choice.mode != mode
+    switching, carried = state.pending.waits & ~state.pending.grazes, jnp.zeros((), bool)
+    if later is not None:
+        # While some surfaces have sides that the state is not on, no other one is decided.
+        carried = any_of(later) & (maps.moved | state.pending.jumped)
+    cause = (switching & (any_of(hit) | maps.moved)) | carried
+    changed = choice.mode != mode
     # Without a contact or a map all changes belong to this switch that are of one kind.
     others = changed & ~where(cause, hit, _alike(system, mode, choice.mode))
     again = switching & any_of(others)
     if later is not None:
         # A surface that waits for its reset takes its side at once.
         others, again = others & ~later, again & ~any_of(later)
-    # If the next switch decides again, a decision without any mode is not a failure yet.
-    redone, count = again, select(again, jnp.maximum(choice.count, 1), choice.count)
-    if later is not None:
-        # While some surfaces have sides that the state is not on, several modes are no failure.
-        carried = any_of(later) & (maps.moved | state.pending.jumped)
-        redone, count = redone | carried, select(carried, 1, count)
+    # If the next switch decides again, a decision with no mode or several is not a failure yet.
+    redone, count = again | carried, select(again, jnp.maximum(choice.count, 1), choice.count)
+    count = select(carried, 1, count)
     kept = where(others & (cause | redone), mode, choice.mode)
     return Decision(kept, count), again, redone
 
