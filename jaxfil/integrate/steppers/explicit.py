@@ -132,9 +132,9 @@ class Trial(eqx.Module):
     """The motion that the step is a part of, if it is a polynomial."""
 
 
-# The lowest order of a diffrax method whose error estimate is used. An estimate of lower order is
-# as large as the change in a step from rest. That of `RK4` is kept, marked as crude: its limits are
-# such that only unstable steps are halved.
+# The lowest order of a diffrax method whose error estimate is used in fixed steps. One of lower
+# order is as large as the change in a step from rest. That of `RK4` is kept, marked as crude: its
+# limits are such that only unstable steps are halved.
 _TRUSTED = 5
 
 
@@ -155,15 +155,15 @@ def checked_stepper(stepper: Stepper | None) -> Stepper:
 def controlled(tolerance: Adaptive, stepper: Any) -> Controlled:
     """The requested stepper, checked, with a tolerance."""
     method = checked_stepper(stepper)
-    tableau = tableau_of(method)
+    asked = Controlled(method, tolerance)
     # The limits of a crude estimate detect unstable steps alone (`error_estimate`).
-    if tableau.crude or not tableau.d:
+    if (tableau := tableau_of(asked)).crude or not tableau.d:
         raise ValueError(
             "`stepper` must have an error estimate if steps follow a tolerance, such as "
-            "diffrax.Dopri8(), Dopri5(), Tsit5() and jaxfil.Rodas5P(); got "
+            "diffrax.Dopri8(), Tsit5(), Bosh3() and jaxfil.Rodas5P(); got "
             f"{told(stepper)}."
         )
-    return Controlled(method, tolerance)
+    return asked
 
 
 def checked_steppers(name: str, steppers: Any) -> tuple[Stepper, ...]:
@@ -208,9 +208,15 @@ def tableau_of(stepper: Stepper) -> Tableau:
     tolerance."""
     _refuse_others(stepper)
     if isinstance(stepper, Controlled):
-        own, tolerance = tableau_of(stepper.method), stepper.tolerance
+        # A tolerance uses estimates of any order.
+        own, tolerance = _tableau(stepper.method, least=1), stepper.tolerance
         # Files store the name of a tableau, from which the tolerance is read back.
         return dataclasses.replace(own, tolerance=tolerance, name=f"{own.name}, {tolerance!r}")
+    return _tableau(stepper, _TRUSTED)
+
+
+def _tableau(stepper: Any, least: int) -> Tableau:
+    """The tableau of a method, with the error estimate of a diffrax method of `least` order."""
     name = type(stepper).__name__
     if isinstance(stepper, RK4):
         a = tuple(map(_floats, RK4.a))
@@ -226,8 +232,7 @@ def tableau_of(stepper: Stepper) -> Tableau:
     given, order = stepper.tableau, stepper.order(None)  # pyright: ignore[reportArgumentType]
     assert isinstance(given, diffrax.ButcherTableau) and order is not None
     c, a, b = _floats(given.c), tuple(map(_floats, given.a_lower)), _floats(given.b_sol)
-    # Estimates of low order are dropped (see `_TRUSTED`).
-    d = _floats(given.b_error) if order >= _TRUSTED else ()
+    d = _floats(given.b_error) if order >= least else ()
     if given.fsal:  # the last stage is the field at the end, which the loop evaluates anyway
         c, a, b = c[:-1], a[:-1], b[:-1]
     elif d:

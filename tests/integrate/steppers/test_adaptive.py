@@ -362,11 +362,34 @@ def test_a_tolerance_is_checked(make, told):
         make()
 
 
-@pytest.mark.parametrize("stepper", [jf.RK4(), diffrax.Euler(), diffrax.Heun()])
+@pytest.mark.parametrize("stepper", [jf.RK4(), diffrax.Euler()])
 def test_a_stepper_without_an_estimate_is_refused(stepper):
     told = r"`stepper` must have an error estimate if steps follow a tolerance"
     with pytest.raises(ValueError, match=told):
         jf.solve(Orbit(), jnp.ones(4), 0.0, 1.0, jf.Adaptive(), stepper=stepper)
+
+
+class Rubbing(jf.System):
+    """A mass on a spring with dry friction, which turns at t = π."""
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -x[0] - 0.4 * side])
+
+    def switching(self, t, x):
+        return x[1]
+
+
+@pytest.mark.parametrize("stepper", [diffrax.Heun(), diffrax.Bosh3()])
+def test_a_method_of_low_order_follows_a_tolerance(stepper):
+    """x = −0.4 − 1.8 cos(t − π) after the turn, from x = 3; the error is some ten tolerances."""
+    end = jnp.array([-0.4 - 1.8 * np.cos(5 - np.pi), 1.8 * np.sin(5 - np.pi)])
+    run = dict(stepper=stepper, max_steps=20_000)
+    for tolerance in (1e-4, 1e-6):
+        step = jf.Adaptive(tolerance, tolerance)
+        sol = jf.solve(Rubbing(), jnp.array([3.0, 0.0]), 0.0, 5.0, step, **run)
+        error = float(jnp.max(abs(sol.x_final - end)))
+        assert 0.1 * tolerance < error < 10 * tolerance
+        np.testing.assert_allclose(sol.events.ts[0], np.pi, atol=10 * tolerance)
 
 
 def test_a_tolerance_is_one_number_each():
