@@ -57,7 +57,11 @@ def period(of: System, dtype: DTypeLike) -> Array:
 
 def clocks(of: System) -> Clocks:
     """The clocks of a system, with positive periods unless traced."""
-    name, several = f"`clocks` of {type(of).__name__}", of.clocks
+    name = f"`clocks` of {type(of).__name__}"
+    try:
+        several = of.clocks
+    except ValueError as error:  # of the class `Clock`, for known numbers
+        raise ValueError(f"{name} must be a tuple of jaxfil.Clock: {error}") from error
     if not isinstance(several, (tuple, list)) or not all(isinstance(c, Clock) for c in several):
         raise ValueError(f"{name} must be a tuple of jaxfil.Clock, got {told(several)}.")
     for clock in several:
@@ -85,6 +89,8 @@ def system(name: str, value: object) -> None:
             f"`period` of {type(value).__name__} must be a number, a property or None, got a "
             "method; write @property above it."
         )
+    if type(value).clocks is not System.clocks:
+        clocks(value)
 
 
 def shapes(value: System, x: Array) -> tuple[int, ...]:

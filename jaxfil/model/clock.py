@@ -20,7 +20,8 @@ class Clock(eqx.Module):
 
     **Arguments**
 
-    - `period`: the time from one tick to the next, positive.
+    - `period`: the time from one tick to the next, positive. In a run for which it is traced, as in
+      a sweep over it, any other period is an outcome, `invalid_period` or `nonfinite`.
     - `phase`: the time of a tick.
 
     **Source**: M. di Bernardo, F. Garofalo, L. Glielmo and F. Vasca, Switchings, bifurcations and

@@ -50,7 +50,8 @@ class RESULTS(eqx.Enumeration, metaclass=_Outcomes):
     - Of the choice of a step: `tolerance_not_met`.
     - Of a fit: `fit_not_converged`.
     - Of a sweep that Ctrl-C ended: `interrupted`.
-    - Of sweeps, orbits and exponents, which count forcing periods: `invalid_period`.
+    - Of sweeps, orbits and exponents, which count forcing periods, and of every integration with
+      clocks: `invalid_period`.
 
     >>> import jax
     >>> import jax.numpy as jnp
@@ -147,8 +148,8 @@ class RESULTS(eqx.Enumeration, metaclass=_Outcomes):
         "neither a side, nor sliding, nor rest is consistent with the vector fields there."
     )
     invalid_period = (
-        "The forcing period is negative, zero or infinite, so that the motion cannot be sampled "
-        "once per period."
+        "The period of the forcing or of a clock is negative, zero or infinite. Motions are sampled "
+        "once in the one, and stop at the ticks of the other."
     )
     section_reached = "The run has ended at a section, as requested."
     out_of_bounds = "The motion has left the region that a bound allows."

@@ -59,6 +59,14 @@ class Ticking(jf.System):
         return (self.clock,)
 
 
+class Held(Ticking):
+    """A clock that is made when it is asked for, as of a period in a parameter."""
+
+    @property
+    def clocks(self):
+        return (jf.Clock(self.clock),)
+
+
 class Gain(jf.System):
     """A system of one's own, with a parameter that nothing converts."""
 
@@ -378,6 +386,11 @@ CALLS = {
         lambda: solve(Ticking("a")),
         "`clocks` of Ticking must be a tuple of jaxfil.Clock",
         "('a',)",
+    ),
+    "period of a clock is zero": (
+        lambda: solve(Held(0.0)),
+        "`clocks` of Held must be a tuple of jaxfil.Clock: `period` must be positive and finite",
+        "0.0",
     ),
     "clock of a batch": (
         lambda: solve(Ticking(jf.Clock(jnp.ones(3)))),

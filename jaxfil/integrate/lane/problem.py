@@ -107,7 +107,7 @@ def _is_no_period(period: Array) -> Array:
 
 
 def period_outcome(period: Array, result: RESULTS) -> RESULTS:
-    """The outcome of lanes that ran for forcing periods, given the outcome of the loop."""
+    """The outcome of a lane whose forcing or clock has this period, given its other outcome."""
     return RESULTS.where(_is_no_period(period), RESULTS.invalid_period, result)
 
 

@@ -18,7 +18,7 @@ from jaxfil.integrate.contacts import accumulation
 from jaxfil.integrate.contacts.beginning import begin
 from jaxfil.integrate.contacts.guards import NOISE, guards, stays_on, surface_noise, unguarded
 from jaxfil.integrate.contacts.switch import with_reactions
-from jaxfil.integrate.lane.problem import Problem
+from jaxfil.integrate.lane.problem import Problem, period_outcome
 from jaxfil.integrate.lane.recording import empty_table
 from jaxfil.integrate.lane.state import (
     ContactSearch,
@@ -352,6 +352,10 @@ def _first_result(problem: Problem, x: Components, start: Start) -> RESULTS:
     if not problem.system.slides:
         slid = any_of(start.motion.mode == 0) & (count == 1)
         result = RESULTS.where(slid, RESULTS.undeclared_sliding, result)
-    # This test comes last and has precedence, since a mode decided from NaN has no meaning.
-    fine = all_finite(x, start.motion.f, grid.t0, grid.length, grid.dt)
-    return RESULTS.where(fine, result, RESULTS.nonfinite)
+    # These tests come last and have precedence, since a mode decided from NaN has no meaning.
+    clocks = problem.system.clocks
+    fine = all_finite(x, start.motion.f, grid.t0, grid.length, grid.dt, clocks)
+    result = RESULTS.where(fine, result, RESULTS.nonfinite)
+    for period, _ in clocks:
+        result = period_outcome(period, result)
+    return result

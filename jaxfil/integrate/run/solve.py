@@ -128,7 +128,8 @@ def solve(
     ended by a section; `max_steps_reached`, `max_events_reached`, `nonfinite` and `step_too_long`
     for a run that cannot continue; `nonunique`, `mode_undecided`, `undeclared_sliding` and `zeno`
     for a solution without a unique continuation; `reset_undecided` and, in backward time,
-    `irreversible_reset` for a reset without one.
+    `irreversible_reset` for a reset without one; `invalid_period` for a clock whose traced period
+    is not positive.
 
     **Source**: the switch model: Piiroinen and Kuznetsov, An event-driven method to simulate
     Filippov systems with accurate computing of sliding motions, ACM Transactions on Mathematical

@@ -275,3 +275,35 @@ def test_an_error_says_where_the_run_stopped(call, place):
 def test_an_error_of_a_traced_run_is_the_sentence():
     with pytest.raises(RuntimeError, match="The budget of steps was used up"):
         jax.jit(lambda x: jf.solve(BALL, x, 0.0, 2.0, 0.125, max_steps=2).xs)(jnp.ones(2))
+
+
+class Doses(jf.System):
+    """x' = -x, and a dose of 1 every T from the phase on."""
+
+    every: jax.Array
+    phase: jax.Array
+
+    def vector_field(self, t, x, side):
+        return -x
+
+    def tick(self, t, x, clock):
+        return x + 1
+
+    @property
+    def clocks(self):
+        return (jf.Clock(self.every, self.phase),)
+
+
+def test_a_lane_whose_clock_has_no_period_is_told():
+    """Nothing ticks in it, and its field is well all the same. The first lane has doses at
+    0.4 and 0.8."""
+    every = jnp.array([0.4, 0.0, -0.4, jnp.inf, jnp.nan, 0.4])
+    phase = jnp.array([0.0, 0.0, 0.0, 0.0, 0.0, jnp.nan])
+
+    def end(every, phase):
+        return jf.solve(Doses(every, phase), jnp.ones(1), 0.0, 1.0, 0.25, throw=False)
+
+    sols = jax.jit(jax.vmap(end))(every, phase)
+    names = ["successful", *["invalid_period"] * 3, *["nonfinite"] * 2]
+    assert_array_equal(RESULTS.names(sols.result), names)
+    assert_allclose(sols.x_final[0, 0], np.exp([-1, -0.6, -0.2]).sum(), rtol=1e-10)
