@@ -148,8 +148,8 @@ class RESULTS(eqx.Enumeration, metaclass=_Outcomes):
         "neither a side, nor sliding, nor rest is consistent with the vector fields there."
     )
     invalid_period = (
-        "The period of the forcing or of a clock is negative, zero or infinite. Motions are sampled "
-        "once in the one, and stop at the ticks of the other."
+        "The period of the forcing or of a clock is negative, zero or infinite, so that the motion "
+        "cannot be sampled once per period, or has no ticks."
     )
     section_reached = "The run has ended at a section, as requested."
     out_of_bounds = "The motion has left the region that a bound allows."

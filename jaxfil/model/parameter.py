@@ -5,7 +5,7 @@ return the leaf or entry, or a copy of the system with another value.
 """
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -37,7 +37,7 @@ def _name(path: tuple[Any, ...]) -> str:
 def get_parameter(system: PyTree, name: str, argument: str = "parameter") -> Any:
     """The leaf called `name`, or an entry of one. An error names the `argument` by which the user
     gave the name."""
-    leaf, entry = _found(system, name, argument)
+    _, leaf, entry = _found(system, name, argument)
     return leaf if entry is None else jnp.asarray(leaf).reshape(-1)[entry]
 
 
@@ -51,15 +51,15 @@ def scalar_parameter(system: PyTree, name: str, argument: str = "parameter") -> 
     return leaf
 
 
-def _found(system: PyTree, name: str, argument: str) -> tuple[Any, int | None]:
-    """The leaf of a name, and the index of its entry in C order, or None."""
+def _found(system: PyTree, name: str, argument: str) -> tuple[str, Any, int | None]:
+    """The name of the leaf in a name, the leaf, and the index of the entry in C order, or None."""
     known = parameters(system)
     if isinstance(name, str) and name in known:
-        return known[name], None
+        return name, known[name], None
     base, index = _split(name) if isinstance(name, str) else ("", ())
     shape = np.shape(known[base]) if base in known else ()
     if len(index) == len(shape) > 0 and all(-n <= i < n for i, n in zip(index, shape, strict=True)):
-        return known[base], int(np.arange(np.prod(shape)).reshape(shape)[index])
+        return base, known[base], int(np.arange(np.prod(shape)).reshape(shape)[index])
     other = vars(system).get(name) if isinstance(name, str) else None
     hint = "" if other is None else f", which is {told(other)} and no float"
     hint = f", and `{base}` is of shape {shape}" if index and base in known else hint
@@ -80,13 +80,19 @@ def _split(name: str) -> tuple[str, tuple[int, ...]]:
 def scalar_parameters(system: PyTree, names: Any) -> tuple[str, ...]:
     """The names of different scalar parameters, from an argument `parameters`."""
     several = isinstance(names, (tuple, list)) and all(isinstance(name, str) for name in names)
-    if not several or len({*names}) != len(names) or not names:
+    if not several or not names or not are_different(system, names, "parameters"):
         raise ValueError(
             f"`parameters` must be the names of different parameters, got {told(names)}."
         )
-    for name in names:
-        scalar_parameter(system, name, "parameters")
     return tuple(names)
+
+
+def are_different(system: PyTree, names: Sequence[str], argument: str = "parameter") -> bool:
+    """Whether each name is of another scalar parameter, with errors as in `scalar_parameter`. An
+    entry of an array has several names, "a[1]" and "a[-1]"."""
+    for name in names:
+        scalar_parameter(system, name, argument)
+    return len({_found(system, name, argument)[::2] for name in names}) == len(names)
 
 
 def two_parameters(system: PyTree, names: Any) -> tuple[str, str]:
@@ -106,8 +112,7 @@ def replace_parameters(system: _Tree, names: Iterable[str], values: Iterable[Arr
 
 def replace_parameter(system: _Tree, name: str, value: ArrayLike) -> _Tree:
     """`system` with the leaf or entry called `name` replaced, in its shape and dtype."""
-    _, entry = _found(system, name, "parameter")
-    base = name if entry is None else _split(name)[0]
+    base, _, entry = _found(system, name, "parameter")
 
     def swap(path: tuple[Any, ...], leaf: Any) -> Any:
         if _name(path) != base:

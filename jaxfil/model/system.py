@@ -22,7 +22,8 @@ class System(eqx.Module):
 
     Write a subclass with `vector_field`, and `switching` unless the system is smooth. Every float
     leaf is a parameter, including arrays, whose entries are named as "a[0,1]". Parameters may be
-    swept, differentiated and batched, and new values never recompile.
+    swept, differentiated and batched, and new values never recompile. Any other number that the
+    functions use, a global one or an attribute of the class, keeps the value of the first call.
 
     `reset` defines impacts; otherwise no impact code is compiled. `period` is the forcing period.
     A class that wraps another system forwards `slides`, `resets`, `feels_reactions`, `ticks`,

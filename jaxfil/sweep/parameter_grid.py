@@ -7,7 +7,7 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from jaxfil.model import check
-from jaxfil.model.parameter import get_parameter
+from jaxfil.model.parameter import are_different, scalar_parameter
 from jaxfil.model.system import System
 from jaxfil.model.types import SweptValues
 
@@ -32,17 +32,16 @@ def parameter_grid(
 ) -> ParameterGrid:
     """The grid of the arguments `parameter` and `values`, in a float precision."""
     if isinstance(parameter, str):
-        get_parameter(system, parameter)
+        scalar_parameter(system, parameter)
         axis = _axis(values, dtype, "(p,) with p ≥ 1")
         return ParameterGrid((parameter,), axis, axis[:, None], axis.shape)
     names = tuple(parameter) if isinstance(parameter, Sequence | np.ndarray) else ()
-    if not all(isinstance(n, str) for n in names) or len({*names}) < max(2, len(names)):
+    several = len(names) > 1 and all(isinstance(name, str) for name in names)
+    if not several or not are_different(system, names):
         raise ValueError(
             "`parameter` must be a string, or two or more different ones, got "
             f"{check.told(parameter)}."
         )
-    for name in names:
-        get_parameter(system, name)
     # An array means single points, any other value a product grid, because k arrays of one length
     # could mean either.
     if hasattr(values, "ndim"):

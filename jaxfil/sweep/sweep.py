@@ -77,8 +77,8 @@ def bifurcation_diagram(
     **Arguments**
 
     - `system`: a `System` with a `period`, or any `System` with a `section`.
-    - `parameter`: a float leaf of the system; a dotted path for nested modules, and "a[0,1]" for
-      an entry of an array. Or k such names.
+    - `parameter`: a scalar float leaf of the system; a dotted path for nested modules, and "a[0,1]"
+      for an entry of an array. Or k such names.
     - `values`: shape (p,). New values never recompile. For k names, a tuple of k arrays, whose
       product grid is swept, or one array of shape (p, k), one point in parameter space per row.
     - `x0`: the initial state of every lane, shape (n,), or one for each, shape (p, n); on a grid

@@ -60,6 +60,11 @@ def test_an_entry_is_named_by_its_indices():
     np.testing.assert_array_equal(corners[1], [[-0.5, 0.8], [-1.2, 9.0]])
 
 
+def test_two_names_of_one_entry_are_one_parameter():
+    with pytest.raises(ValueError, match="`parameters` must be the names of different parameters"):
+        jf.fit(coupled(), ("a[1,0]", "a[-1, 0]"), [[0.0, 0.0]], np.ones((1, 2)), jnp.zeros(2), 0.1)
+
+
 @pytest.mark.parametrize(
     "name, told",
     [

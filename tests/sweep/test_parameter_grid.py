@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import jax
 import jax.numpy as jnp
 import matplotlib
 import matplotlib.colors
@@ -92,6 +93,32 @@ def test_datasets_keep_the_shape(grid):
 def test_bad_calls(change, message):
     with pytest.raises(ValueError, match=message):
         sweep(**{"values": (OMEGA, F0), **change})
+
+
+class Tanks(jf.System):
+    """Each of several tanks, x' = 1 - r x."""
+
+    r: jax.Array
+    period = 1.0
+
+    def vector_field(self, t, x, side):
+        return 1.0 - self.r * x
+
+
+@pytest.mark.parametrize(
+    "parameter, message",
+    [
+        ("r", "`parameter` must name a scalar parameter, got 'r', which is an array"),
+        (("r", "r[0]"), "`parameter` must name a scalar parameter, got 'r', which is an array"),
+        (("r[0]", "r[-2]"), r"`parameter` must be .* different ones, got \('r\[0\]', 'r\[-2\]'\)"),
+    ],
+)
+def test_a_name_in_a_sweep_is_of_one_number_of_its_own(parameter, message):
+    """A whole array would have each of its entries set to the swept value, and of two names of one
+    entry the last one would count."""
+    values = [1.0, 2.0] if isinstance(parameter, str) else np.array([[1.0, 2.0]])
+    with pytest.raises(ValueError, match=message):
+        jf.bifurcation_diagram(Tanks(jnp.array([1.0, 5.0])), parameter, values, jnp.zeros(2))
 
 
 def with_samples(grid, xs):
