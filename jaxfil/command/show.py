@@ -2,6 +2,8 @@
 
 import argparse
 import dataclasses
+import json
+from typing import Any
 
 import jax.numpy as jnp
 
@@ -10,6 +12,7 @@ from jaxfil.command.misuse import Misuse
 from jaxfil.command.picture import draw
 from jaxfil.files.load import load
 from jaxfil.model import dataset_io
+from jaxfil.model.dataset import OTHERS
 from jaxfil.model.dataset_io import NamedArrays
 from jaxfil.model.parameter import parameters
 from jaxfil.model.system import System
@@ -43,9 +46,10 @@ def _system(args: argparse.Namespace) -> System | None:
 
 
 def _with_parameters(cls: type[System], data: NamedArrays) -> System:
-    """A system of a class with the parameters of a file, as placeholder numbers that its values
-    replace."""
-    numbers = {name: jnp.ones(()) for name in required(cls)}
+    """A system of a class with the whole numbers, flags and words of a file, and its parameters as
+    placeholder numbers that its values replace."""
+    others = _plain_fields(cls, data)
+    numbers = {name: jnp.ones(()) for name in required(cls) if name not in others} | others
     own = parameters(cls(**numbers))
     held = {*data.variables, *data.coordinates, *data.attributes}
     # A parameter that is None by default, or by a converter for its default.
@@ -54,3 +58,16 @@ def _with_parameters(cls: type[System], data: NamedArrays) -> System:
         if absent and (field.default is None or isinstance(field.default, float)):
             numbers |= {field.name: jnp.ones(())} if held & {field.name, f"{field.name}_"} else {}
     return cls(**numbers)
+
+
+def _plain_fields(cls: type[System], data: NamedArrays) -> dict[str, Any]:
+    """The fields of a class whose values a file has in full: whole numbers, flags and words."""
+    held = json.loads(data.attributes.get(OTHERS, "{}"))
+    kinds = {field.name: field.type for field in dataclasses.fields(cls) if field.init}
+    values = {name: json.loads(text) for name, text in held.items() if name in kinds}
+    # A word may also be the name of a function.
+    return {
+        name: value
+        for name, value in values.items()
+        if isinstance(value, int) or (isinstance(value, str) and kinds[name] in (str, "str"))
+    }

@@ -41,7 +41,8 @@ def load(path: PathLike, *, system: System | None = None) -> Any:
     - `path`: a netCDF file (.nc), a Zarr store (.zarr) or an .npz, of the command line too.
     - `system`: a system of the same class, required for an orbit, a branch, and a solution that was
       saved with `diffrax.SaveAt(dense=True)`, because a file contains names and numbers but no
-      functions. The parameters of the file replace its own. Other results ignore it.
+      functions. The parameters of the file replace its own; whole numbers, flags, words, static
+      fields and the names of its functions must be those of the file. Other results ignore it.
 
     **Returns** a `BifurcationDiagram`, `Basins`, a `Branch`, an `Orbit` or a `Solution`.
 

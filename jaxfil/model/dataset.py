@@ -15,6 +15,7 @@ from jaxtyping import Array
 
 from jaxfil.model.dataset_io import Attribute, NamedArrays, Variable
 from jaxfil.model.labels import Labels
+from jaxfil.model.other_fields import other_fields
 from jaxfil.model.outcomes import RESULTS, outcome_codes, outcome_names, outcomes
 from jaxfil.model.parameter import cast, parameters, replace_leaves
 from jaxfil.model.system import System
@@ -27,6 +28,9 @@ Fields = Mapping[str, tuple[str, str]]
 
 TYPE = "jaxfil_type"
 """The attribute with the class of the result in a data set."""
+
+OTHERS = "other_fields"
+"""The attribute with the fields of a system that are no parameters, absent in older files."""
 
 
 def header(kind: str) -> dict[str, Attribute]:
@@ -182,12 +186,18 @@ def own_dimensions(name: str, number: int) -> list[str]:
 
 
 def system_entries(
-    system: System, taken: Collection[str], batch: Sequence[str] = (), skip: str = ""
+    system: System,
+    taken: Collection[str],
+    batch: Sequence[str] = (),
+    lanes: Sequence[int] = (),
+    skip: str = "",
 ) -> tuple[dict[str, Variable], dict[str, Attribute]]:
-    """The name of a system and its parameters, except `skip`."""
+    """The name of a system, its parameters except `skip`, and its other fields; `lanes` is the
+    shape of a batch."""
     known = {key: np.asarray(v) for key, v in parameters(system).items() if key != skip}
     variables, attributes = parameter_entries(known, taken, batch)
-    return variables, {"system": type(system).__name__, **attributes}
+    others = json.dumps(other_fields(system, lanes))
+    return variables, {"system": type(system).__name__, OTHERS: others, **attributes}
 
 
 def system_from(
@@ -197,7 +207,7 @@ def system_from(
     taken: Collection[str],
     skip: str = "",
 ) -> System:
-    """`system` with the parameters of the data set."""
+    """`system` with the parameters of the data set; an error if it differs in anything else."""
     name = str(data.attributes["system"])
     if system is None or type(system).__name__ != name:
         given = "None" if system is None else repr(system)
@@ -213,9 +223,24 @@ def system_from(
             f"`system` must have the parameters that `path` holds; they differ in "
             f"{', '.join(sorted(strange))}, got {system!r}."
         )
+    _check_others(data, system)
     values = {
         leaf: data.array(key) if key in data.variables else data.attributes[key]
         for leaf, key in keys.items()
     }
     exact = {k: exact_array(np.asarray(v, dtype)) for k, v in values.items()}
     return replace_leaves(cast(system, dtype), exact)
+
+
+def _check_others(data: NamedArrays, system: System) -> None:
+    """Check that fields that are no parameters are those of the data set."""
+    if OTHERS not in data.attributes:
+        return
+    held, given = json.loads(data.attributes[OTHERS]), other_fields(system)
+    for name in sorted({*held, *given}):
+        was, is_now = held.get(name, "absent"), given.get(name, "absent")
+        if was != is_now:
+            raise ValueError(
+                f"`system` must be the system of the result in `path`, whose `{name}` is {was}, "
+                f"got {is_now}."
+            )

@@ -8,6 +8,7 @@ import numpy as np
 from jaxfil.integrate.run.dataset import EVENTS, batch_dims, event_variables
 from jaxfil.integrate.steppers.explicit import tableau_of
 from jaxfil.model.dataset import (
+    OTHERS,
     Fields,
     component_coordinates,
     header,
@@ -33,7 +34,16 @@ OPTIONS = ("steps", "arcs", "max_events", "compact")
 # Names of its data set that are not parameters.
 TAKEN = {*ORBIT, *EVENTS, *OPTIONS, "t0", "stepper", "outcome", "outcome_code", "event_kind"}
 TAKEN |= {"multiplier_real", "multiplier_imag", "stable", "component", "unit", "system", "lane"}
-TAKEN |= {"jaxfil_type", "jaxfil_version", "by_component", "surface", "arc", "event", "multiplier"}
+TAKEN |= {
+    "jaxfil_type",
+    "jaxfil_version",
+    OTHERS,
+    "by_component",
+    "surface",
+    "arc",
+    "event",
+    "multiplier",
+}
 
 
 def orbit_variables(orbit: Any, batch: Sequence[str]) -> dict[str, Variable]:
@@ -61,7 +71,7 @@ def orbit_arrays(orbit: Any) -> NamedArrays:
     """The named arrays of an `Orbit`."""
     *shape, n = np.shape(orbit.x0)
     batch = batch_dims(shape)
-    arrays, told = system_entries(orbit.system, TAKEN, batch)
+    arrays, told = system_entries(orbit.system, TAKEN, batch, shape)
     return NamedArrays(
         orbit_variables(orbit, batch) | arrays,
         component_coordinates(labels_of(orbit.system, n), n),

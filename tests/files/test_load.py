@@ -39,7 +39,7 @@ def solved(saveat):
 
 def twice(result):
     """Two lanes of the same."""
-    return jax.tree.map(lambda v: jnp.stack([v, v]), result)
+    return jax.tree.map(lambda v: jnp.stack([v, v]) if eqx.is_array(v) else v, result)
 
 
 @pytest.fixture(scope="module")
@@ -184,6 +184,41 @@ def test_a_system_without_surfaces_whose_parameters_are_an_array_and_a_name_of_o
     kept(sol, tmp_path, circles(3.0))
     with pytest.raises(ValueError, match=r"`system` must have the parameters.*differ in rates"):
         jf.load(tmp_path / "a.npz", system=Circles(None, jnp.array(2.0)))
+
+
+class Named(jf.System):
+    """x'' = -k x with what no float says: a whole number, a word, a function, an array."""
+
+    gear: int
+    law: str = eqx.field(static=True)
+    force: object = jnp.tanh
+    table: jax.Array = eqx.field(default_factory=lambda: jnp.arange(2))
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -self.gear * x[0]])
+
+
+@pytest.mark.parametrize(
+    "other, name",
+    [
+        (Named(1, "soft"), "`gear` is 4, got 1"),
+        (Named(4, "hard"), '`law` is "soft", got "hard"'),
+        (Named(4, "soft", jnp.sin), '`force` is "tanh", got "sin"'),
+        (Named(4, "soft", table=jnp.arange(3)), r"`table` is \[0, 1\], got \[0, 1, 2\]"),
+    ],
+)
+def test_a_system_that_differs_in_what_is_no_parameter_is_refused(other, name, tmp_path):
+    """x(1/8) = cos 1/4 for k = 4, and not cos 1/8."""
+    every = diffrax.SaveAt(dense=True)
+    run = {"saveat": every, "stepper": diffrax.Tsit5(), "compact": True}
+    one = jf.solve(Named(4, "soft"), jnp.array([1.0, 0.0]), 0.0, 1.0, 0.1, **run)
+    for i, sol in enumerate((one, twice(one))):
+        sol.save(tmp_path / f"{i}.npz")
+        back = jf.load(tmp_path / f"{i}.npz", system=Named(4, "soft"))
+        with pytest.raises(ValueError, match=f"`system` must be the system of .*{name}"):
+            jf.load(tmp_path / f"{i}.npz", system=other)
+        jax.tree.map(np.testing.assert_array_equal, back._dense.xs, sol._dense.xs)
+    assert abs(float(one.evaluate(0.125)[0]) - np.cos(0.25)) < 1e-6
 
 
 def test_what_jax_cannot_hold_is_said(sol, tmp_path):

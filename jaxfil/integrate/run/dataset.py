@@ -7,6 +7,7 @@ import numpy as np
 
 from jaxfil.integrate.steppers.explicit import tableau_of
 from jaxfil.model.dataset import (
+    OTHERS,
     Fields,
     component_coordinates,
     header,
@@ -53,7 +54,16 @@ DENSE: Fields = {
 STATS = ("num_steps", "num_halvings", "num_iterations", "num_saved")
 # Names in its data set that parameters must not use.
 TAKEN = {*SOLUTION, *EVENTS, *CROSSINGS, *DENSE, *STATS, "event_kind", "outcome", "outcome_code"}
-TAKEN |= {"component", "unit", "jaxfil_type", "jaxfil_version", "system", "symbols", "units"}
+TAKEN |= {
+    OTHERS,
+    "component",
+    "unit",
+    "jaxfil_type",
+    "jaxfil_version",
+    "system",
+    "symbols",
+    "units",
+}
 TAKEN |= {"stepper", "compact", "observed", "time", "event", "surface", "crossing", "step", "lane"}
 # Variables that become coordinates.
 _TIMES = ("t", "event_t", "crossing_t", "step_t")
@@ -95,7 +105,7 @@ def solution_arrays(sol: Any) -> NamedArrays:
     # Only dense output evaluates the system again, so only its file has the parameters.
     if sol._dense is not None:
         variables |= variables_of(sol._dense, DENSE, batch)
-        arrays, known = system_entries(sol._dense.system, TAKEN, batch)
+        arrays, known = system_entries(sol._dense.system, TAKEN, batch, shape)
         variables |= arrays
         attributes |= known | {"stepper": tableau_of(sol._dense.stepper).name}
     coordinates = component_coordinates(labels, n)
