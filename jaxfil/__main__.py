@@ -18,6 +18,7 @@ import signal
 import sys
 import traceback
 from collections.abc import Callable
+from types import ModuleType
 from typing import Any
 
 from jaxfil.command.arguments import read
@@ -43,10 +44,22 @@ def _prepared(argv: list[str] | None) -> Callable[[], int]:
         # Set before a user's file is imported, which may create arrays.
         jax.config.update("jax_enable_x64", True)
         command = importlib.import_module(f"jaxfil.command.{args.module}")
-        of = None if args.command == "show" else chosen.chosen(args)
-        command.check(args, of)
+        return _checked(command, args)
     except Misuse as misuse:
         return ft.partial(_refused, str(misuse))
+
+
+def _checked(command: ModuleType, args: argparse.Namespace) -> Callable[[], int]:
+    """The command of these arguments, which fit its system."""
+    from jaxfil.command import chosen
+
+    try:
+        of = None if args.command == "show" else chosen.chosen(args)
+        command.check(args, of)
+    except ValueError as error:
+        if _is_in_users_file(args, error):
+            raise
+        return ft.partial(_refused, str(error))
     return ft.partial(_done, command.run, args, of)
 
 
@@ -72,12 +85,17 @@ def _done(run: Callable[..., int], args: argparse.Namespace, of: Any) -> int:
         try:
             return run(args, of, interrupts)
         except ValueError as error:
-            # Errors of the library are sentences; an error within a user's file is shown in full.
-            file = (args.system or "").rpartition(":")[0]
-            frames = traceback.extract_tb(error.__traceback__)
-            if file and any(frame.filename.endswith(file) for frame in frames):
+            if _is_in_users_file(args, error):
                 raise
             return _refused(str(error))
+
+
+def _is_in_users_file(args: argparse.Namespace, error: ValueError) -> bool:
+    """Whether an error is from within a user's file, and is shown in full; those of the library are
+    sentences."""
+    file = (args.system or "").rpartition(":")[0]
+    frames = traceback.extract_tb(error.__traceback__)
+    return bool(file) and any(frame.filename.endswith(file) for frame in frames)
 
 
 def script() -> int:
