@@ -210,6 +210,14 @@ def test_list_names_every_system_and_parameter_with_its_default(capsys):
         (["basins", "den-hartog", "--grid", "x0=1:2:3", "omega=1:2:3", "--out", "a.png"], "x0, x1"),
         (["basins", "den-hartog", "--grid", "x0=1:2:3", "x2=1:2:3", "--out", "a.png"], "0 to 1"),
         (["show", "nothing.npz"], "FILE must exist"),
+        (
+            ["orbit", "impact-oscillator", "--set", "restitution=-1"],
+            "`restitution` of ImpactOscillator must be 0 or more, got -1.0",
+        ),
+        (
+            ["orbit", "sd-oscillator", "--set", "force.f0=2"],
+            "one of f0, zeta, omega; got 'force.f0",
+        ),
     ],
     ids=" ".join,
 )
@@ -325,6 +333,17 @@ class Chain(jf.System):
     def vector_field(self, t, x, side):
         pull = 0.0 if self.fixed else sum(x[1 + k] for k in range(self.n - 1))
         return jnp.stack([pull - self.stiffness * x[0]] + [-x[k] for k in range(1, self.n)])
+
+
+class Gear(jf.System):
+    '''x' = -n x + cos t, of amplitude 1/sqrt(n^2 + 1).'''
+
+    teeth: int
+    law: str = "none"
+    period = 6.283185307179586
+
+    def vector_field(self, t, x, side):
+        return jnp.cos(t) - self.teeth * x
 """
 
 
@@ -381,12 +400,32 @@ def test_an_orbit_is_shown_with_a_parameter_that_is_absent_by_default(tmp_path, 
     assert capsys.readouterr().out == f"{orbit}\n"
 
 
+def test_an_orbit_is_shown_with_the_whole_numbers_that_it_was_found_with(own, monkeypatch):
+    pages, page = [], jf.plot.page
+    monkeypatch.setattr("jaxfil.plot.page", lambda *a: pages.append(page(*a)) or pages[-1])
+    words = ["own.py:Gear", "--set", "teeth=3", "--x0", "0.1"]
+    assert main(["orbit", *words, "--out", "gear.png"]) == 0
+    assert main(["show", "gear.npz", "own.py:Gear", "--out", "again.png"]) == 0
+    for each in pages:
+        line = each.axes[0].lines[0].get_ydata()
+        assert_allclose(np.nanmax(line), 10**-0.5, rtol=1e-2)
+
+
+def test_a_run_that_stops_at_its_start_has_numbers_and_no_picture(own, capsys):
+    """At (0, 0) the motion of the oscillator is not unique."""
+    words = ["simulate", "sd-oscillator", "--x0", "0,0", "--out", "motion.png"]
+    assert main(words) == 1
+    assert capsys.readouterr().err == "jaxfil: the run stopped at its start; wrote motion.npz\n"
+    assert jf.RESULTS.names(jf.load(own / "motion.npz").result) == "nonunique"
+    assert not (own / "motion.png").exists()
+
+
 def test_mistakes_in_a_system_of_a_file(own, capsys):
     relay = ["simulate", "own.py:Relay", "--x0", "3,0"]
     assert "--set must give friction" in refused(capsys, *relay)
     assert "--x0 is required" in refused(capsys, *relay[:2], "--set", "friction=1")
     told = refused(capsys, "simulate", "own.py:Relai", "--x0", "3,0")
-    assert "must be one of Relay, Broken, Chain; it was 'Relai'" in told
+    assert "must be one of Relay, Broken, Chain, Gear; it was 'Relai'" in told
     assert told.endswith("; did you mean 'Relay'?\n")
     # The library's sentence, where the state does not fit the field.
     assert "JAX" not in refused(capsys, *relay[:3], "3", "--set", "friction=1")

@@ -1,6 +1,7 @@
 """The command `simulate`, one run."""
 
 import argparse
+import sys
 
 import diffrax
 import jax.numpy as jnp
@@ -42,6 +43,9 @@ def run(args: argparse.Namespace, of: Chosen, interrupts: Interrupts) -> int:
 
         title = f"{of.conditions()}, {steps_in_words(args)}"
         plane = [lambda ax: plot.phase_portrait(sol, ax, system)] if len(of.x0) > 1 else []
-        draw(args, title, lambda ax: plot.time_history(sol, ax, system=system), *plane)
         sol.save(numbers(args))
+        if int(sol.stats["num_saved"]) > 1:
+            draw(args, title, lambda ax: plot.time_history(sol, ax, system=system), *plane)
+        else:
+            print(f"jaxfil: the run stopped at its start; wrote {numbers(args)}", file=sys.stderr)
     return 0 if is_successful(sol.result) else 1

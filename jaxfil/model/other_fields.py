@@ -65,7 +65,7 @@ def _text(value: Any) -> str:
 
 
 def _told(value: Any) -> Any:
-    """A value that JSON does not know, in a form that it knows and that other processes give too."""
+    """A value that JSON does not know, in a form that it knows, the same in every process."""
     if isinstance(value, np.generic):
         return value.item()
     if eqx.is_array(value) or isinstance(value, np.ndarray):

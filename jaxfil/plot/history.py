@@ -21,8 +21,8 @@ from jaxfil.plot.path import (
     MARKERS,
     chosen,
     contacts,
+    drawn_lanes,
     jumps,
-    lanes,
     path,
     saved,
     spans,
@@ -45,7 +45,8 @@ def time_history(
     For one surface the bands fill the axes; for several each has a strip below the curves, numbered
     from 0 as in the event table. Impacts are marked, and their jumps dotted. A band changes at the
     contact between two saved times, and at most once; save often, as with
-    `diffrax.SaveAt(t0=True, steps=True)`. For a batch every lane is drawn, without bands.
+    `diffrax.SaveAt(t0=True, steps=True)`. For a batch every lane is drawn,
+    except those that stopped at their start, without bands.
 
     **Arguments**
 
@@ -72,7 +73,7 @@ def time_history(
     if system is not None:
         check.system("system", system)
     shown = chosen("components", components, sol.x_final.shape[-1], ())
-    motions = lanes(sol)
+    motions = drawn_lanes(sol)
     paths = [path(one) for one in motions]
     ax = own_axes(ax)
     for i, c in enumerate(shown):

@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxfil.integrate.run.solution import Solution
 from jaxfil.model import check
-from jaxfil.model.outcomes import EventKind
+from jaxfil.model.outcomes import EventKind, outcome_names
 from jaxfil.model.system import System
 from jaxfil.plot.canvas import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION, WHITE, YELLOW
 from jaxfil.xla.known import part_of
@@ -49,6 +49,13 @@ def lanes(sol: Solution) -> list[Solution]:
     return [part_of(sol, i) for i in np.ndindex(*shape)]
 
 
+def drawn_lanes(sol: Solution) -> list[Solution]:
+    """The lanes of a batch that have a path. Others stopped at their start and are left out."""
+    every = lanes(sol)
+    moved = [one for one in every if one.ts is not None and _is_saved(one).sum() > 1]
+    return moved or every
+
+
 def one_lane(sol: Solution) -> None:
     """Raise an error for the solution of a batch."""
     if np.ndim(sol.t_final):
@@ -71,17 +78,23 @@ def chosen(
 
 def saved(sol: Solution) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Times, states and modes that were saved and reached."""
-    # Times not reached are padded with inf.
-    if sol.ts is not None:
-        ts, xs, modes = map(np.asarray, (sol.ts, sol.xs, sol.modes))
-        real = np.isfinite(ts) & np.isfinite(xs).all(axis=1)
-        if real.sum() > 1:
-            # Rest looks the same from either side.
-            return ts[real], xs[real], np.where(modes[real] == -2, 2, modes[real])
-    raise ValueError(
-        "`sol` must hold two saved times or more; "
-        "solve with saveat=diffrax.SaveAt(t0=True, steps=True) or diffrax.SaveAt(ts=...)."
-    )
+    must = "`sol` must hold two saved times or more"
+    if sol.ts is None or len(sol.ts) < 2:
+        raise ValueError(
+            f"{must}; solve with saveat=diffrax.SaveAt(t0=True, steps=True) or "
+            "diffrax.SaveAt(ts=...)."
+        )
+    real = _is_saved(sol)
+    if real.sum() < 2:
+        raise ValueError(f"{must}, got a run that stopped before, {outcome_names(sol.result)}.")
+    ts, xs, modes = (np.asarray(v)[real] for v in (sol.ts, sol.xs, sol.modes))
+    # Rest looks the same from either side.
+    return ts, xs, np.where(modes == -2, 2, modes)
+
+
+def _is_saved(sol: Solution) -> np.ndarray:
+    """Flags of the rows that were reached; others are padded with inf."""
+    return np.isfinite(np.asarray(sol.ts)) & np.isfinite(np.asarray(sol.xs)).all(axis=1)
 
 
 def contacts(sol: Solution) -> Contacts:

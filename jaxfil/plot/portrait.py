@@ -23,8 +23,8 @@ from jaxfil.plot.path import (
     MARKERS,
     chosen,
     contacts,
+    drawn_lanes,
     jumps,
-    lanes,
     path,
     saved,
     spans,
@@ -64,7 +64,7 @@ def phase_portrait(
     Sliding segments are thick, every contact is marked by its kind, and the jump of an impact is
     dotted. A hollow circle is the start, an arrow the direction. Surfaces are dashed. They
     are drawn in the plane of two components through the last state, at the last time. For a batch
-    every lane is drawn.
+    every lane is drawn, except those that stopped at their start.
 
     **Arguments**
 
@@ -95,7 +95,7 @@ def phase_portrait(
         raise ValueError("`sol` must have two components or more, got 1.")
     shown = chosen("components", components, n, (2, 3))
     ax = own_axes(ax, "3d" if len(shown) == 3 else None)
-    motions = lanes(sol)
+    motions = drawn_lanes(sol)
     for one in motions:
         _draw_motion(ax, one, system, shown, style, arrow=len(motions) <= _ARROWS)
     if system is not None and len(shown) == 2:

@@ -420,6 +420,25 @@ def test_a_batch_is_drawn_whole_with_one_entry_of_each_kind():
     assert len(told) == len(set(told)), "a second motion on the same axes adds no entry"
 
 
+def test_a_lane_that_stops_at_its_start_is_left_out():
+    """At (0, 0) the motion of the oscillator is not unique."""
+
+    def run(x0):
+        saveat = diffrax.SaveAt(t0=True, steps=True)
+        return jf.solve(
+            jf.systems.SDOscillator(), x0, 0.0, 1.0, 0.1, saveat=saveat, throw=False, compact=True
+        )
+
+    x0 = jnp.array([[0.3, 0.1], [0.0, 0.0], [1.2, 0.0]])
+    batch = jax.vmap(run)(x0)
+    for picture, axis in ((jf.plot.phase_portrait, 0), (jf.plot.time_history, 1)):
+        ax = picture(batch, label="lane")
+        lines = [line for line in ax.lines if line.get_label() == "lane"]
+        assert_allclose([line.get_xydata()[0, axis] for line in lines], [0.3, 1.2])
+        with pytest.raises(ValueError, match=r"must hold two saved times .* stopped .* nonunique"):
+            picture(run(x0[1]))
+
+
 def test_components_and_three_dimensions():
     sol = solved(PROBLEMS["belt 1.3"].system, [0.5, 0.2], 2.0)
     ax = jf.plot.phase_portrait(sol, components=(1, 0))
