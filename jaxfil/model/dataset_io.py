@@ -6,10 +6,10 @@ uses xarray, imported on first use.
 
 import contextlib
 import dataclasses
+import hashlib
 import importlib
 import json
 import os
-import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
@@ -30,6 +30,8 @@ Attribute: TypeAlias = Any
 
 # The entry of an .npz that describes the others.
 _CONTENTS = "jaxfil_contents"
+# The attribute with the hash of all arrays. An .npz has one of each array by itself.
+_CHECKSUM = "jaxfil_sha256"
 # A quantity in seconds is a number, and not a time of a calendar.
 _AS_STORED = {"decode_timedelta": False}
 # Packages that each format needs in addition to NumPy.
@@ -80,6 +82,8 @@ def save(data: NamedArrays, path: PathLike) -> None:
         np.savez_compressed(path, **_npz_entries(data))  # pyright: ignore[reportArgumentType]
         return
     _xarray(*packages)
+    known = {**data.attributes, _CHECKSUM: _checksum(data)}
+    data = dataclasses.replace(data, attributes=known)
     if path.suffix == ".nc":
         to_xarray(data).to_netcdf(path, engine="h5netcdf")
     else:
@@ -108,10 +112,10 @@ def load(path: PathLike) -> NamedArrays:
     if path.suffix == ".npz":
         return _from_npz(path)
     xarray = _xarray(*packages)
-    if path.suffix == ".nc":
-        with _foreign_refused(path):
-            return _from_xarray(xarray.load_dataset(path, engine="h5netcdf", **_AS_STORED))
-    return _from_xarray(read_zarr(path))
+    with _foreign_refused(path):
+        if path.suffix == ".nc":
+            return _intact(xarray.load_dataset(path, engine="h5netcdf", **_AS_STORED))
+        return _intact(read_zarr(path))
 
 
 @contextlib.contextmanager
@@ -119,13 +123,43 @@ def _foreign_refused(path: Path) -> Iterator[None]:
     """What the readers of formats raise for a file of another kind, as an error of `path`."""
     try:
         yield
-    except PermissionError:  # not about its content
+    except (ImportError, MemoryError, PermissionError):  # not about its content
         raise
-    except (OSError, EOFError, TypeError, ValueError, zipfile.BadZipFile) as error:
+    except Exception as error:  # of a format, of its codecs, or of what is lacking
         raise ValueError(
             f"`path` must be a file that `save` has written; {os.fspath(path)!r} is not one, or is "
             "damaged."
         ) from error
+
+
+def _intact(data: Dataset) -> NamedArrays:
+    """The arrays of a file, after a check that they are those that were saved."""
+    found = _from_xarray(data)
+    # A file of an earlier version has no checksum.
+    checksum = found.attributes.pop(_CHECKSUM, None)
+    if checksum is not None and checksum != _checksum(found):
+        raise ValueError("The arrays are not those that were saved.")
+    return found
+
+
+def _checksum(data: NamedArrays) -> str:
+    """A hash of all arrays. NetCDF has none of its own, and a Zarr store that has lost a part of an
+    array is read as if this had its filling value."""
+    sha = hashlib.sha256()
+    for name, (dims, array, *_) in sorted({**data.variables, **data.coordinates}.items()):
+        sha.update(repr((name, [*_dims(dims)], array.shape)).encode())
+        sha.update(_content(array))
+    return sha.hexdigest()
+
+
+def _content(array: np.ndarray) -> bytes:
+    """The numbers or words of an array, in one form for all machines and formats."""
+    if array.dtype.kind in "OUT":
+        return repr(array.tolist()).encode()
+    if array.dtype.kind == "f":
+        # A part of an array that is all NaN is not written.
+        array = np.where(np.isnan(array), array.dtype.type(np.nan), array)
+    return array.astype(array.dtype.newbyteorder("<")).tobytes()
 
 
 def _from_xarray(data: Dataset) -> NamedArrays:
@@ -184,13 +218,19 @@ def _dims(dims: str | Sequence[str]) -> list[str]:
 
 
 def _from_npz(path: Path) -> NamedArrays:
-    with _foreign_refused(path), np.load(path) as file:
+    # NumPy leaves a damaged archive open that it has opened itself.
+    with _foreign_refused(path), open(path, "rb") as opened, np.load(opened) as file:
         entries = dict(file)
     if _CONTENTS not in entries:
         raise ValueError(
             f"`path` must be a file that `save` has written; {os.fspath(path)!r} has no "
             f"{_CONTENTS}."
         )
+    with _foreign_refused(path):
+        return _from_entries(entries)
+
+
+def _from_entries(entries: Mapping[str, np.ndarray]) -> NamedArrays:
     contents = json.loads(entries[_CONTENTS].item())
 
     def described(told: Mapping[str, list[Any]]) -> dict[str, Variable]:

@@ -1,6 +1,7 @@
 """Diagrams as named arrays and as files: every bit comes back."""
 
 import dataclasses
+import shutil
 import sys
 from typing import ClassVar
 
@@ -139,6 +140,49 @@ def test_bad_paths(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "zarr", None)
     with pytest.raises(ImportError, match=r"need the package zarr: pip install 'jaxfil\[xarray\]'"):
         d.save(tmp_path / "a.zarr")
+
+
+def is_read(path, diagram):
+    """Whether a file is read, as the diagram, and not refused."""
+    try:
+        found = jf.load(path)
+    except ValueError as error:
+        assert "is not one, or is damaged" in str(error)
+        return False
+    assert eqx.tree_equal(found, diagram)
+    return True
+
+
+def test_a_damaged_file_is_refused_or_holds_the_same(tmp_path):
+    """Every 25th byte of an archive in turn, or a byte in the middle of each number of a netCDF
+    file, and files that are cut off."""
+    d = sweep([0.7, 0.8])
+    for suffix in (".npz", ".nc"):
+        path = tmp_path / f"a{suffix}"
+        d.save(path)
+        content = path.read_bytes()
+        places = range(0, len(content), 25)
+        if suffix == ".nc":
+            places = [content.index(x.tobytes()) + 4 for x in d.xs.ravel()]
+        damaged = [content[:i] + bytes([content[i] ^ 255]) + content[i + 1 :] for i in places]
+        cut = [content[: len(content) * part // 100] for part in (0, 10, 50, 90, 99)]
+        counts = np.zeros(2, int)
+        for data in (*damaged, *cut):
+            path.write_bytes(data)
+            counts[int(is_read(path, d))] += 1
+        assert counts[0] > 0 and (suffix == ".npz" or counts[1] == 0)
+
+
+@pytest.mark.parametrize("array", ["x", "omega", "outcome"])
+def test_a_store_that_has_lost_a_part_of_an_array_is_refused(array, tmp_path):
+    d, path = sweep([0.7, 0.8]), tmp_path / "a.zarr"
+    d.save(path)
+    assert is_read(path, d)
+    chunk = next(v for v in (path / array / "c").rglob("*") if v.is_file())
+    chunk.write_bytes(chunk.read_bytes()[:-3])
+    assert not is_read(path, d)
+    shutil.rmtree(path / array / "c")
+    assert not is_read(path, d)
 
 
 def test_an_outcome_of_another_version_is_named():
