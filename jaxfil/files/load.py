@@ -47,8 +47,9 @@ def load(path: PathLike, *, system: System | None = None) -> Any:
     **Returns** a `BifurcationDiagram`, `Basins`, a `Branch`, an `Orbit` or a `Solution`.
 
     **Raises** `FileNotFoundError` without a file, `ValueError` for another kind of file or a
-    damaged one, for a wrong `system`, or if JAX does not compute in the float64 of the file, and `ImportError`
-    without the packages of `pip install 'jaxfil[xarray]'`, which an .npz does not need.
+    damaged one, for a wrong `system`, or if JAX does not compute in the float64 of the file, and
+    `ImportError` without the packages of `pip install 'jaxfil[xarray]'`, which an .npz does not
+    need.
 
     >>> import tempfile
     >>> import jax.numpy as jnp

@@ -134,9 +134,9 @@ def _foreign_refused(path: Path) -> Iterator[None]:
 
 def _intact(data: Dataset) -> NamedArrays:
     """The arrays of a file, after a check that they are those that were saved."""
-    found = _from_xarray(data)
     # A file of an earlier version has no checksum.
-    checksum = found.attributes.pop(_CHECKSUM, None)
+    checksum = data.attrs.pop(_CHECKSUM, None)
+    found = _from_xarray(data)
     if checksum is not None and checksum != _checksum(found):
         raise ValueError("The arrays are not those that were saved.")
     return found

@@ -11,18 +11,19 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxfil.model.parameter import is_parameter
 from jaxfil.model.system import System
 
-# Larger arrays are told by a hash, since the attributes of a file are limited.
+# Larger arrays are replaced by a hash, since the attributes of a file are limited.
 _NUMBERS = 16
 
 
 def other_fields(system: System, lanes: Sequence[int] = ()) -> dict[str, str]:
-    """The values of all fields and leaves that are no parameters, in JSON, by name. Functions are
-    told by their names. Arrays of a batch of `lanes` are of one lane if all lanes have the same.
+    """The values of all fields and leaves that are no parameters, in JSON, by name; of a function
+    its name. Arrays of a batch of `lanes` are of one lane if all lanes have the same.
 
     >>> import jaxfil as jf
     >>> other_fields(jf.piecewise(jax.nn.relu, jax.nn.relu, max, 2.0))
@@ -61,15 +62,15 @@ def _of_one_lane(value: Any, lanes: tuple[int, ...]) -> Any:
 
 
 def _text(value: Any) -> str:
-    return json.dumps(value, default=_told, skipkeys=True, sort_keys=True)
+    return json.dumps(value, default=_plain, skipkeys=True, sort_keys=True)
 
 
-def _told(value: Any) -> Any:
+def _plain(value: Any) -> Any:
     """A value that JSON does not know, in a form that it knows, the same in every process."""
     if isinstance(value, np.generic):
         return value.item()
     if eqx.is_array(value) or isinstance(value, np.ndarray):
-        if jax.dtypes.issubdtype(value.dtype, jax.dtypes.prng_key):
+        if jnp.issubdtype(value.dtype, jax.dtypes.prng_key):
             value = jax.random.key_data(value)
         array = np.asarray(value)
         if array.size <= _NUMBERS:

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxfil.model import argument
 from jaxfil.model.clock import Clocks
-from jaxfil.model.fields import check_numbers
+from jaxfil.model.fields import Replaceable, check_fields
 from jaxfil.xla import fast_trig
 
 
@@ -73,7 +73,7 @@ class System(eqx.Module):
     _squared: ClassVar[tuple[int, ...]] = ()
 
     def __check_init__(self):
-        check_numbers(self)
+        check_fields(self)
 
     @abc.abstractmethod
     def vector_field(self, t: Float[Array, ""], x: Float[Array, " n"], side: Array) -> Array:
@@ -145,6 +145,13 @@ class System(eqx.Module):
     def clocks(self) -> Clocks:
         """The `Clock`s at whose ticks the field, H or the state jumps; () by default."""
         return ()
+
+
+for _name, _own in [*vars(System).items()]:
+    if isinstance(_own, property):
+        setattr(System, _name, Replaceable(_own))
+# Without the class variables, whose places a field of a subclass would take, before other fields.
+System.__dataclass_fields__.clear()
 
 
 def takes_reaction(function: Callable) -> bool:

@@ -1,5 +1,8 @@
 """What a system says of itself, and how one that wraps another says the same."""
 
+import dataclasses
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -112,3 +115,62 @@ def test_without_impacts_the_reset_of_a_wrapper_is_not_asked():
     assert not jf.smoothed(wrapper, 1e-2).resets
     with pytest.raises(ValueError, match="must have no `reset`"):
         jf.smoothed(Scaled(BALL, jnp.array(2.0)), 1e-2)
+
+
+class Pulsed(jf.System):
+    """x' = -r x + cos(2 pi t/T), with the period as a field before another one."""
+
+    period: jax.Array
+    rate: jax.Array = eqx.field(converter=jnp.asarray)
+    slides: bool = False
+
+    def vector_field(self, t, x, side):
+        return -self.rate * x + jnp.cos(2 * jnp.pi * t / self.period)
+
+
+class Ticked(Pulsed):
+    """The same with a dose of 1 at the ticks of a clock that is a field too."""
+
+    clocks: tuple = ()
+
+    def tick(self, t, x, clock):
+        return x + 1
+
+
+def test_a_field_may_have_the_name_of_a_property():
+    """With w = 2 pi/T the orbit begins at r/(r² + w²), and its derivatives are those of that."""
+
+    def start(period, rate):
+        return jf.periodic_orbit(Pulsed(period, rate), jnp.array([0.1])).x0[0]
+
+    exact = lambda period, rate: rate / (rate**2 + (2 * jnp.pi / period) ** 2)  # noqa: E731
+    found, wanted = (jax.value_and_grad(f, (0, 1))(2.0, 1.0) for f in (start, exact))
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(wanted), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-9)
+    once = Ticked(2.0, jnp.array(0.0), clocks=(jf.Clock(10.0, 0.25),))
+    end = jf.solve(once, jnp.zeros(1), 0.0, 0.5, 0.125, stepper=jf.RK4()).x_final[0]
+    np.testing.assert_allclose(end, 1 + np.sin(np.pi / 2) / np.pi, rtol=1e-4)
+    assert Pulsed(2.0, 1.0).clocks == () and not Pulsed(2.0, 1.0).slides
+    with pytest.raises(TypeError, match=r"missing .* 'rate'"):
+        Pulsed(2.0)
+
+
+@dataclasses.dataclass
+class Plain:
+    rate: float
+
+
+def test_a_field_by_which_programs_cannot_be_told_apart_is_refused_by_name():
+    class Decay(jf.System):
+        given: object
+        law: object = eqx.field(static=True, default=None)
+
+        def vector_field(self, t, x, side):
+            return -self.given.rate * x
+
+    for name, made in (("given", lambda: Decay(Plain(2.0))), ("law", lambda: Decay(1.0, ["soft"]))):
+        with pytest.raises(ValueError, match=f"`{name}` of Decay must hold .*hashed"):
+            made()
+    frozen = dataclasses.make_dataclass("Frozen", [("rate", float)], frozen=True)
+    end = jf.solve(Decay(frozen(2.0)), jnp.ones(1), 0.0, 1.0, 0.05).x_final[0]
+    np.testing.assert_allclose(end, np.exp(-2), rtol=1e-10)
