@@ -165,10 +165,10 @@ class Galerkin(eqx.Module):
         """Phases (p,), weights (p,) and sides (p, m) of all points, and the zeros of H."""
         edges, beside = self._edges(c.dtype)
         surfaces = lambda p: self._switching(p, self._state(c, p))  # noqa: E731
+        low, high = (stop_gradient(v) for v in (edges[:-1] + beside[:-1], edges[1:] - beside[1:]))
+        at_ends = _values_at_ends(surfaces, low, high)
         cell = ft.partial(_cell, surfaces)
-        phases, weights, sides, zeros = jax.vmap(cell)(
-            edges[:-1], edges[1:], beside[:-1], beside[1:]
-        )
+        phases, weights, sides, zeros = jax.vmap(cell)(edges[:-1], edges[1:], low, high, *at_ends)
         sides = sides.reshape(phases.size, sides.shape[-1])
         return phases.ravel(), weights.ravel(), sides, zeros
 
@@ -189,14 +189,36 @@ class Galerkin(eqx.Module):
         return select(crosses, jump, 0), -normal / select(rate == 0, 1, rate)
 
 
+def _values_at_ends(
+    surfaces: Callable[[Array], Array], low: Array, high: Array
+) -> tuple[Array, Array]:
+    """H at the beginnings and at the ends of all cells, shape (cells, m), the same at an end as
+    where the next cell begins, the last one before the first, unless H jumps there.
+
+    By rounding, each of two cells could else see the sign of the other one at a zero between
+    them, and neither a crossing.
+    """
+    after, before = jax.vmap(surfaces)(low), jax.vmap(surfaces)(high)
+    following = jnp.roll(after, -1, axis=0)
+    rounding = jnp.finfo(low.dtype).eps ** 0.5 * jnp.max(abs(after), axis=0)
+    return after, select(abs(following - before) <= rounding, following, before)
+
+
 def _cell(
-    surfaces: Callable[[Array], Array], a: Array, b: Array, after: Array, before: Array
+    surfaces: Callable[[Array], Array],
+    a: Array,
+    b: Array,
+    low: Array,
+    high: Array,
+    at_low: Array,
+    at_high: Array,
 ) -> tuple[Array, Array, Array, _Zeros]:
-    """Points, weights and sides of a cell cut at the zeros of H, and the zeros, which are searched
-    up to these distances from its ends."""
-    low, high = stop_gradient(a) + after, stop_gradient(b) - before
-    m = jax.eval_shape(surfaces, a).shape[0]
-    zeros = [_zeros(lambda p, j=j: surfaces(p)[j], low, high) for j in range(m)]
+    """Points, weights and sides of a cell from a to b cut at the zeros of H, and the zeros, which
+    are searched from `low` to `high`, given H there."""
+    m = at_low.shape[0]
+    zeros = [
+        _zeros(lambda p, j=j: surfaces(p)[j], low, high, at_low[j], at_high[j]) for j in range(m)
+    ]
     # Without a crossing there is no cut, and a piece beyond the end of the cell has no weight.
     phases = [select(one.crosses, one.phases, b) for one in zeros]
     cuts = jnp.sort(jnp.concatenate([a[None], *phases, b[None]]))
@@ -210,14 +232,14 @@ def _cell(
     return points, weights, sides, both
 
 
-def _zeros(h: Callable[[Array], Array], a: Array, b: Array) -> _Zeros:
-    """The zeros of one H in a cell: one where its sign changes, or a pair where it turns on the
-    other side."""
+def _zeros(h: Callable[[Array], Array], a: Array, b: Array, h_a: Array, h_b: Array) -> _Zeros:
+    """The zeros of one H in a cell, given H at its ends: one where its sign changes, or a pair
+    where it turns on the other side."""
 
     def rate(p: Array) -> Array:
         return jax.jvp(h, (p,), (jnp.ones_like(p),))[1]
 
-    h_a, h_b, rate_a, rate_b = h(a), h(b), rate(a), rate(b)
+    rate_a, rate_b = rate(a), rate(b)
     turns = (rate_a > 0) != (rate_b > 0)
     turn = select(turns, zero_between(rate, a, b, rate_a, rate_b), b)
     h_turn = select(turns, h(turn), h_b)

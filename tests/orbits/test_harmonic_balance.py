@@ -226,6 +226,41 @@ def test_coefficients_have_second_derivatives():
     assert_allclose(found, exact, rtol=0, atol=1e-4)
 
 
+class Biased(jf.System):
+    """x'' + x + k sgn x = A sin 2t + bias, with a clock that ticks at phase 0, or without."""
+
+    a: jax.Array
+    bias: jax.Array
+    clocked: bool = eqx.field(static=True)
+    period = np.pi
+
+    def vector_field(self, t, x, side):
+        force = self.a * jnp.sin(2 * t) + self.bias
+        return jnp.stack([x[1], force - x[0] - 0.5 * side])
+
+    def switching(self, t, x):
+        return x[0]
+
+    @property
+    def clocks(self):
+        return (jf.Clock(np.pi / 2),) if self.clocked else ()
+
+
+@pytest.mark.parametrize("clocked", [False, True])
+def test_a_zero_at_phase_0_is_a_crossing(clocked):
+    """The series is −X sin 2t, X = (A + 2/π)/3; the mean of sgn (c + x) is 2c/πX for small c."""
+
+    def mean(bias, a):
+        size = (a + 2 / jnp.pi) / 3
+        guess = jnp.array([[0.0, 0.0], [0.0, -2.0], [-1.0, 0.0]]) * size
+        found = jf.harmonic_balance(Biased(a, bias, clocked), guess, 1, throw=False)
+        return found.coefficients[0, 0]
+
+    amplitudes = jnp.linspace(0.7, 1.5, 9)
+    slopes = jax.jit(jax.vmap(jax.grad(mean), (None, 0)))(0.0, amplitudes)
+    assert_allclose(slopes, 1 / (1 + 3 / (jnp.pi * amplitudes + 2)), rtol=0, atol=1e-9)
+
+
 @pytest.mark.parametrize("late", [0.0, 0.2])
 def test_a_pass_within_one_cell_is_seen(late):
     """Where a sine reaches d for an angle 2β only, which is 1/10 of a cell."""
