@@ -58,6 +58,7 @@ class ShootingOptions(eqx.Module):
         make up the orbit."""
         num_steps = jnp.asarray(-(-self.steps // arcs), jnp.int32)
         grid = even_grid(t0, length, num_steps, self.max_events, end)
+        grid = dataclasses.replace(grid, closes=True)
         recording = Recording(max_events=self.max_events)
         field = build(system, x0, compact=self.compact)
         return problem_of(field, tableau_of(self.stepper), grid, recording)

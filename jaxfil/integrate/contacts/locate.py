@@ -289,7 +289,10 @@ def _kinds_of_end(
     # At the end of a run every contact within rounding is one of this run: one that starts there
     # would start on the surface (see `start`).
     last = length.gridded & (state.counts.index + 1 >= grid.num_steps)
-    at_end = last & (zero | past) & ~bound & ~touch
+    beside = zero | past
+    if problem.same_end is not None:
+        beside = beside | (size <= problem.same_end)
+    at_end = last & beside & ~bound & ~touch
     # With several surfaces, contacts within the rounding of times are reached together.
     loose = bound | (system.m > 1)
     reached = (size <= same) & (inside | zero | loose) | (length.cutting & close & inside)

@@ -24,6 +24,8 @@ from jaxfil.xla.select import select
 FINER = 1 / 64
 # Times closer than this many eps of their size are one time.
 SAME_TIME = 8
+# The same, as a multiple, where an orbit is closed, whose states have the error of a solution.
+_SAME_END = 4
 
 
 def iteration_budget(num_steps: Array, max_events: int | None = None) -> Array:
@@ -62,6 +64,9 @@ class TimeGrid(eqx.Module):
     end: Array | None = None
     """The time at the end, which t0 + length misses by rounding; None stands for that sum. Ticks of
     clocks belong to a run by its two ends (`lane/clocks`)."""
+    closes: bool = eqx.field(static=True, default=False)
+    """Whether this is an arc of a closed orbit, which starts where another one ends, or itself, up
+    to the error of a solution."""
 
     @property
     def direction(self) -> Array:
@@ -262,3 +267,9 @@ class Problem(eqx.Module):
         assert self.tick is not None
         ahead = stop_gradient(self.tick - tau) * self.grid.direction
         return ahead <= self.same_time(tau)
+
+    @property
+    def same_end(self) -> Array | None:
+        """The time from either end of an arc of a closed orbit within which a contact belongs to
+        the arc that ends there; None for any other run, whose start is exact."""
+        return _SAME_END * self.same_time(self.grid.length) if self.grid.closes else None

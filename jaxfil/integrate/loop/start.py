@@ -209,15 +209,19 @@ def _start(problem: Problem, x: Components) -> Start:
         return Start(motion, none, None, jnp.ones((), jnp.int32))
     h, h_t, normals = system.gradients(t, x)
     f = system.field(t, x, h.like(jnp.ones_like(t)))
-    way = stop_gradient(abs(typical_step(problem) * f))
     # The field of a side on which the motion is not need not be finite.
-    way = where(way < jnp.inf, way, 0.0)
+    speed = stop_gradient(where(abs(f) < jnp.inf, f, 0.0))
+    way = abs(typical_step(problem) * speed)
     # Of a state beside zero, at which an earlier run has landed, the rounding of the landing.
     landed = scale + 2 * NOISE * system.eps * way
     inner = noise = surface_noise(system, t, x, landed, h_t, normals)
     if system.resets:
         # A state at which an earlier run ended on the surface has the rounding of its steps.
         noise = surface_noise(system, t, x, scale + way, h_t, normals)
+    if problem.same_end is not None:
+        # The contact beside this start is one at the end of the arc before.
+        beside = problem.same_end * abs(stop_gradient(h_t + normals @ speed))
+        inner, noise = maximum(inner, beside), maximum(noise, beside)
     mode, on, owed, count, determinant = _first_mode(problem, x, h, noise, inner)
     # A pinned lane is treated as off all surfaces. Its guards are armed, and no reset is due.
     if problem.kept is not None:
