@@ -20,6 +20,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxfil.equilibria.approach import QUADRANTS, Approach
 from jaxfil.integrate.surfaces.corners import every_side
+from jaxfil.integrate.system.dependencies import constants_of
 from jaxfil.integrate.system.lowered import build
 from jaxfil.model.system import System, field_of
 from jaxfil.xla.select import select
@@ -67,6 +68,20 @@ class Balance(eqx.Module):
         """H of all surfaces."""
         switching = self.system.switching
         return jnp.atleast_1d(without_branches(switching, jnp.zeros((), x.dtype), x))
+
+    def derivative(self, z: Float[Array, " N"]) -> Float[Array, "N N"]:
+        """The derivative of the equations. A component that only events change, as a latch, is in
+        balance at any value, and the equation that it keeps its own is added."""
+        jacobian = jax.jacfwd(self.residual)(z)
+        return jacobian + self.kept(jacobian, self.split(z)[0])
+
+    def kept(self, jacobian: Array, x: Array) -> Array:
+        """The diagonal matrix of ones for components that only events change."""
+        found = np.flatnonzero(constants_of(self.system, x))
+        constant = np.isin(np.arange(len(jacobian)), found)
+        # The reaction of a resting surface may be along such a component.
+        zero = jnp.all(jacobian == 0, axis=1) if found.size else constant
+        return jnp.diag((constant & zero).astype(x.dtype))
 
     def _force(self, x: Array, sides: Array) -> Array:
         """F on given sides."""
@@ -166,6 +181,8 @@ class Linearised(eqx.Module):
     """The same, with its zeros across the surfaces shifted to `shift`."""
     shift: Float[Array, ""]
     """A number larger than all eigenvalues."""
+    kept: Float[Array, "n n"]
+    """The diagonal matrix of ones for components that only events change, as a latch."""
     approach: Approach
     """The motion across the sliding surfaces."""
 
@@ -204,6 +221,7 @@ def linearise(balance: Balance, z: Float[Array, " N"]) -> Linearised:
         jacobian=jacobian,
         deflated=jacobian + shift * projection,
         shift=shift,
+        kept=balance.kept(jacobian, x),
         approach=Approach(
             slid=balance.slid,
             response=select(both, response, -jnp.eye(off.shape[0], dtype=z.dtype)),

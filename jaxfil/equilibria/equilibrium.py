@@ -1,5 +1,6 @@
 """`Equilibrium`: an equilibrium of a system, with margins, kind, eigenvalues and stability."""
 
+import dataclasses
 import functools as ft
 from collections.abc import Callable
 from typing import Any
@@ -77,8 +78,9 @@ class Equilibrium(eqx.Module):
 
     @property
     def stable(self) -> Bool[Array, "*batch"]:
-        """Whether it belongs to the system and all eigenvalues have negative real parts."""
-        return self.admissible & jnp.all(jnp.real(self.eigenvalues) < 0, axis=-1)
+        """Whether it belongs to the system and all eigenvalues have negative real parts, except the
+        0 of a component of the state that only events change, as a latch."""
+        return self.admissible & self._of(_attracts)
 
     @property
     def kind(self) -> str | np.ndarray:
@@ -126,6 +128,14 @@ def _jacobian(at: Equilibrium) -> Array:
 @eqx.filter_jit
 def _eigenvalues(at: Equilibrium) -> Array:
     return eigenvalues_of(linearise(*_balance(at)))
+
+
+@eqx.filter_jit
+def _attracts(at: Equilibrium) -> Array:
+    flow = linearise(*_balance(at))
+    # With a decay of each component that would keep its value.
+    decays = dataclasses.replace(flow, deflated=flow.deflated - flow.kept)
+    return jnp.all(jnp.real(eigenvalues_of(decays)) < 0)
 
 
 def eigenvalues_of(flow: Linearised) -> Complex[Array, " n"]:

@@ -53,7 +53,8 @@ def equilibrium(
     **Arguments**
 
     - `system`: the `System`, without a period and clocks. Its functions are evaluated at t = 0.
-    - `guess`: a guess of the state, shape (n,).
+    - `guess`: a guess of the state, shape (n,). A component whose field is zero, such as a latch,
+      keeps its value.
     - `mode`: for each surface the side ±1, 0 to slide on it, ±2 to rest on it from that side, shape
       (m,), or one number for one surface. None: the side of the guess; for a surface through the
       guess, to rounding, 0 (+1 if `slides` is False), or 2 if its reset reflects the motion.
@@ -156,7 +157,7 @@ def _beginning(
     best = first - jnp.linalg.solve(gram, by_first.T @ force)
     best = select(jnp.all(jnp.isfinite(best)), best, first)
     z = jnp.concatenate([x, select(off, mode, best)])
-    residual, jacobian = balance.residual(z), jax.jacfwd(balance.residual)(z)
+    residual, jacobian = balance.residual(z), balance.derivative(z)
     step = jnp.linalg.solve(jacobian, residual)
     # Nothing else shows the rounding of terms that cancel there.
     nothing = (z == 0) & (abs(step) <= _ZERO * jnp.finfo(z.dtype).eps)
@@ -206,7 +207,7 @@ def equilibrium_of(balance: Balance, z: Array, root: Root) -> Equilibrium:
 
 def evaluation(balance: Balance, z: Array, least: Array) -> Evaluation:
     """The equations in the form for Newton's method, with the least scales of the unknowns."""
-    residual, jacobian = balance.residual(z), jax.jacfwd(balance.residual)(z)
+    residual, jacobian = balance.residual(z), balance.derivative(z)
     unknowns = jnp.maximum(least, sizes(z, balance.mode.shape[0]))
     # A component may be small beside the others of which it is made. One that is zero has the size
     # of these, found from equation to equation.

@@ -15,6 +15,7 @@ from jaxfil.integrate.run.options import enough_iterations
 from jaxfil.integrate.run.solution import Dense, Events, Solution
 from jaxfil.integrate.run.solve import solve
 from jaxfil.integrate.run.step_choice import expected_steps
+from jaxfil.integrate.system.dependencies import constants_of
 from jaxfil.model import dataset_io
 from jaxfil.model.card import outcome, precision
 from jaxfil.model.drawing import draw
@@ -26,6 +27,7 @@ from jaxfil.orbits.orbit_arrays import orbit_arrays
 from jaxfil.orbits.shooting import ShootingOptions, first_failure, merged
 from jaxfil.xla.known import in_numpy, is_known, part_of
 from jaxfil.xla.select import select
+from jaxfil.xla.thresholds import SAME_STATE
 
 # The factor by which there is room for more steps if there was not enough, and for a traced run,
 # which cannot be repeated; and the room from which on there is no more.
@@ -69,13 +71,17 @@ class Orbit(eqx.Module):
     @property
     def multipliers(self) -> Complex[Array, "*batch n"]:
         """The Floquet multipliers, eigenvalues of the monodromy matrix, shape (n,). An autonomous
-        orbit has a multiplier 1; a sticking orbit has a multiplier 0."""
+        orbit has a multiplier 1, and so has a component whose field is zero, such as a latch, that
+        no event changes; a sticking orbit has a multiplier 0."""
         return _multipliers(self.monodromy)
 
     @property
     def stable(self) -> Array:
-        """Whether all multipliers, except an autonomous system's 1, are inside the unit circle."""
-        inside = _are_inside(self.multipliers, autonomous=self.system.period is None)
+        """Whether all multipliers are inside the unit circle, except an autonomous system's 1, and
+        the 1 of a component of the state that only events change, but none of this orbit."""
+        constant = constants_of(self.system, self.x0, self.x0.ndim - 1)
+        others = _multipliers(_without(constant, self.monodromy))
+        inside = _are_inside(others, autonomous=self.system.period is None)
         return inside & (self.result == RESULTS.successful)
 
     def states(self, ts: Float[Array, " k"]) -> Float[Array, "k n"]:
@@ -227,6 +233,16 @@ def _multipliers(monodromy: Array) -> Array:
     fine = jnp.all(jnp.isfinite(monodromy), axis=(-2, -1))
     values = jnp.linalg.eigvals(select(fine[..., None, None], monodromy, 0))
     return select(fine[..., None], values, jnp.nan)
+
+
+@jax.jit
+def _without(constant: Array, monodromy: Array) -> Array:
+    """The monodromy matrix with a multiplier 0 in place of the 1 of each constant component that no
+    event has changed."""
+    rounding = SAME_STATE * jnp.finfo(monodromy.dtype).eps * jnp.max(abs(monodromy), (-2, -1))
+    away = jnp.max(abs(monodromy - jnp.eye(monodromy.shape[-1], dtype=monodromy.dtype)), axis=-1)
+    kept = constant & (away <= rounding[..., None])
+    return select(kept[..., None], 0, monodromy)
 
 
 @ft.partial(jax.jit, static_argnames="autonomous")

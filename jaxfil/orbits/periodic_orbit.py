@@ -47,7 +47,8 @@ def periodic_orbit(
 
     The Jacobian is the derivative of the flow map, exact through every contact. A forced system has
     T = `periods` · `system.period`; for an autonomous one T is an unknown too, with the condition
-    that x0 moves at right angles to the field at the guess.
+    that x0 moves at right angles to the field at the guess. A component whose field is zero, such
+    as a latch, keeps the value of the guess if no event of the orbit changes it.
 
     **Arguments**
 

@@ -64,6 +64,12 @@ class ShootingOptions(eqx.Module):
         return problem_of(field, tableau_of(self.stepper), grid, recording)
 
 
+class Constant(eqx.Module):
+    """The components of a state that only events change, as a latch (`Structure.constant`)."""
+
+    numbers: tuple[int, ...] = eqx.field(static=True)
+
+
 class Shot(eqx.Module):
     """All M arcs of an orbit: their ends, derivatives, and contacts."""
 
@@ -85,6 +91,8 @@ class Shot(eqx.Module):
     result: RESULTS
     """The outcome of the first failed arc; `max_events_reached` if none has failed but all
     contacts together exceed `ShootingOptions.max_events`."""
+    constant: Constant
+    """The components without a field."""
 
     @property
     def monodromy(self) -> Float[Array, "n n"] | Float[np.ndarray, "n n"]:
@@ -118,7 +126,9 @@ def shoot(
             size = jnp.maximum(pack(state.motion.scale, z.dtype), abs(x))
             mode = pack(state.first_mode, z.dtype).astype(jnp.int8)
             result = period_outcome(period, state.result)
-            more = (x, size, events_of(state.table), state.counts.num_events, mode, result)
+            constant = Constant(problem.system.structure.constant)
+            count = state.counts.num_events
+            more = (x, size, events_of(state.table), count, mode, result, constant)
             return x, jax.tree.map(stop_gradient, more)
 
         def slopes(z: Array) -> tuple:
@@ -134,7 +144,7 @@ def shoot(
         done = jax.tree.map(lambda v: v[None], arc(numbers[0], starts[0]))
     else:
         done = jax.vmap(arc)(numbers, starts)
-    by_start, by_global, ends, sizes, events, counts, modes, results = done
+    by_start, by_global, ends, sizes, events, counts, modes, results, constant = done
     result = first_failure(results, options.arcs)
     count = jnp.sum(counts, dtype=jnp.int32)
     # The table of the orbit is as long as that of an arc.
@@ -150,6 +160,7 @@ def shoot(
         num_events=count,
         first_mode=modes[0],
         result=result,
+        constant=constant,
     )
 
 

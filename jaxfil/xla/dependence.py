@@ -63,6 +63,35 @@ def dependencies(program: Any, args: Sequence[Any], sources: Collection[str] = (
     return _through(program, args, flags, bool)
 
 
+# Operations that make a zero of zeros, number by number.
+_KEEPS_ZERO = {"add", "add_any", "convert_element_type", "copy", "neg", "stop_gradient", "sub"}
+
+
+def zeros_of(program: Any) -> list[_Flags]:
+    """Flags of the numbers in the results of a program that are zero by its operations, whatever
+    its arguments are, unless these are infinite."""
+
+    def nonzero(_: Any, eqn: Any, inputs: Sequence[_Flags]) -> list[_Flags]:
+        name, shape = eqn.primitive.name, eqn.outvars[0].aval.shape
+        if name in elements.MOVES:
+            return [elements.moved(name, eqn.params, [*map(np.asarray, inputs)], shape)]
+        if name in _KEEPS_ZERO:
+            found = ft.reduce(np.logical_or, inputs)
+        elif name == "mul":
+            found = inputs[0] & inputs[1]
+        elif name == "div":
+            found = inputs[0]
+        elif name == "select_n":
+            found = ft.reduce(np.logical_or, inputs[1:])
+        else:
+            return [np.ones(v.aval.shape, bool) for v in eqn.outvars]
+        return [np.broadcast_to(found, shape)]
+
+    every = [np.ones(v.shape, bool) for v in program.in_avals]
+    found = interpreted(program, every, lambda v: np.asarray(v) != 0, nonzero)
+    return [~np.asarray(v) for v in found]
+
+
 # A degree above 1.
 _CURVED = 2
 # Operations that are linear in the operands with these numbers, given all others.

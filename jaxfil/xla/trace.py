@@ -18,7 +18,7 @@ from jaxtyping import Array
 
 from jaxfil.xla import elements, fast_trig, matrix_product
 from jaxfil.xla.bounded_slope import ROOTS, bounded
-from jaxfil.xla.dependence import degrees_of, dependencies
+from jaxfil.xla.dependence import degrees_of, dependencies, zeros_of
 from jaxfil.xla.masked_product import ELEMENTWISE, SINGULAR, masked
 from jaxfil.xla.moves import by_slices
 from jaxfil.xla.program import (
@@ -189,6 +189,10 @@ class Traced:
         flags = [np.broadcast_to(flag, v.shape) for v, flag in self._asked(args)]
         out = dependencies(self._closed, flags)
         return jax.tree.unflatten(self._tree, list(map(np.asarray, out)))
+
+    def zeros(self) -> Any:
+        """Flags of the numbers in the results that are zero for all arguments, as pytrees."""
+        return jax.tree.unflatten(self._tree, zeros_of(self._closed))
 
     def is_affine(self, *args: Any) -> bool:
         """Whether all results are provably affine in the flagged arguments."""

@@ -56,3 +56,13 @@ def test_a_change_of_one_argument_changes_no_other_results(name):
 def test_numbers_that_stay_apart_are_known_to_do_so(name):
     traced = Traced(lambda *x: tuple(MIXED[name](jnp.stack(x))), *X)
     assert traced.depends(False, True, False, False) == (False, True, False, False)
+
+
+def test_numbers_that_are_zero_for_all_arguments_are_known():
+    def function(x, p):
+        kept = jnp.stack([x[0] * p, 0 * x[0], jnp.zeros_like(p), -(0 * p) + 0.0, x[2] * 0 / p])
+        either = jnp.where(x[0] > 0, jnp.stack([x[1], 0.0]), jnp.append(p, 0 * p))
+        return jnp.concatenate([kept, either, x.at[1].set(0.0), jnp.array([1.0])])
+
+    found = Traced(function, X, 0.3).zeros()
+    assert found.tolist() == [c == "0" for c in "x0000x0x0xxx"]

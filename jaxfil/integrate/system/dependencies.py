@@ -9,10 +9,13 @@ single surfaces.
 import dataclasses
 from collections.abc import Sequence
 
+import equinox as eqx
 import jax
 import numpy as np
+from jaxtyping import Array, Bool
 
 from jaxfil.integrate.system.components import Components
+from jaxfil.model.system import System, field_of
 from jaxfil.xla.trace import Traced
 
 
@@ -37,6 +40,8 @@ class Structure:
     members: tuple[tuple[int, ...], ...] | None
     """The numbers of the state that each of several surfaces depends on; None if two surfaces share
     one."""
+    constant: tuple[int, ...]
+    """The numbers of the state whose field is zero, such as a latch, which only events change."""
 
 
 def of(
@@ -65,6 +70,7 @@ def of(
     steers = [_flat(switching.depends(*nothing, number)) for number in of_number]
     numbers = [steer for steer, sides in zip(steers, switched, strict=True) if sides]
     steered = tuple(any(steer[j] for steer in numbers) for j in range(m))
+    constant = tuple(map(int, np.flatnonzero(_flat(field.zeros()))))
     if m < 2:
         # The two sides of a single surface determine all blends, affine or not.
         return Structure(
@@ -75,6 +81,7 @@ def of(
             kinked=kinked,
             flat=flat,
             members=None,
+            constant=constant,
         )
     # Reactions of different sides multiply different vectors, so a field with reactions counts as
     # affine in at most one side.
@@ -90,7 +97,26 @@ def of(
         kinked=kinked,
         flat=flat,
         members=_members(np.array(steers)),
+        constant=constant,
     )
+
+
+def constants_of(system: System, x: Array, batch: int = 0) -> Bool[np.ndarray, " n"]:
+    """Flags of the numbers of the state whose field is zero (`Structure.constant`), given a system
+    and a state whose arrays have this many axes of a batch."""
+    leaves, static = eqx.partition(system, eqx.is_array)
+    shape = lambda v: jax.ShapeDtypeStruct(v.shape[batch:], v.dtype)  # noqa: E731
+    leaves, x = jax.tree.map(shape, (leaves, x))
+    t = jax.ShapeDtypeStruct((), x.dtype)
+
+    def switching(leaves: System, t: Array, x: Array) -> Array:
+        return eqx.combine(leaves, static).switching(t, x)
+
+    def field(leaves: System, t: Array, x: Array, side: Array) -> Array:
+        return field_of(eqx.combine(leaves, static), t, x, side)
+
+    side = jax.eval_shape(switching, leaves, t, x)
+    return np.asarray(Traced(field, leaves, t, x, side).zeros())
 
 
 def of_own_reactions(second: Traced, at: tuple, of_side: Sequence) -> tuple[bool, ...]:

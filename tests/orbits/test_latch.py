@@ -1,0 +1,147 @@
+"""Orbits and equilibria of systems with a component of the state that only events change.
+
+While no event changes it, any value of it closes, and that of the guess is kept.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import jaxfil as jf
+from jaxfil.model.outcomes import outcome_names
+
+
+class Driven(jf.System):
+    """x' = A cos t − (1 + q) x in one of several programs q."""
+
+    a: jax.Array
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([self.a * jnp.cos(t) - (1 + x[1]) * x[0], 0.0])
+
+
+@pytest.mark.parametrize("segments", [1, 3])
+def test_a_batch_of_programs(segments):
+    """x(0) = A (1 + q)/((1 + q)² + 1), which is in proportion to A, with the multiplier
+    exp(−2π(1 + q))."""
+    guesses = jnp.array([[0.1, 0.0], [0.9, 1.0], [0.0, -0.9]])
+
+    @jax.jit
+    @jax.vmap
+    def found(guess):
+        def x0(a):
+            one = jf.periodic_orbit(Driven(a), guess, segments=segments, throw=False)
+            return one.x0, (one.x0, one.multipliers, one.stable)
+
+        return jax.jacfwd(x0, has_aux=True)(jnp.array(3.0))
+
+    slopes, (x0, multipliers, stable) = found(guesses)
+    rate = 1 + guesses[:, 1]
+    assert_allclose(slopes, np.stack([rate / (rate**2 + 1), 0 * rate], axis=1), rtol=0, atol=1e-9)
+    assert_allclose(x0[:, 0], 3 * slopes[:, 0], rtol=0, atol=1e-9)
+    assert_array_equal(x0[:, 1], guesses[:, 1])
+    exact = np.stack([np.exp(-2 * np.pi * rate), 1 + 0 * rate], axis=1)
+    assert_allclose(np.sort(abs(multipliers), axis=1), exact, rtol=0, atol=1e-9)
+    assert_array_equal(stable, True)
+
+
+class Fuse(jf.System):
+    """x'' + c x' + (1 + 3q) x = A cos t; a fuse q is blown where |x| reaches 1."""
+
+    a: jax.Array
+    c: jax.Array
+    slides = False
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        force = self.a * jnp.cos(t) - self.c * x[1] - (1 + 3 * x[2]) * x[0]
+        return jnp.stack([x[1], force, 0 * t])
+
+    def switching(self, t, x):
+        return jnp.stack([1 - x[0], 1 + x[0]])
+
+    def reset(self, t, x, surface):
+        return x.at[2].set(1.0)
+
+
+FUSE = Fuse(jnp.array(0.1), jnp.array(0.2))
+
+
+def test_a_branch_with_a_fuse():
+    """x = A/c sin t until the fuse blows."""
+    orbit = jf.periodic_orbit(FUSE, jnp.array([0.05, 0.4, 0.0]))
+    assert_allclose(orbit.x0, [0.0, 0.5, 0.0], rtol=0, atol=1e-9)
+    branch = jf.continue_orbit(FUSE, "c", orbit, stop=0.3)
+    assert_allclose(branch.orbits.x0[-1], [0.0, 1 / 3, 0.0], rtol=0, atol=1e-9)
+    assert branch.stable.all() and not branch.points
+
+
+class Counted(Fuse):
+    """The same, with a count of crossings of 0 in place of the fuse."""
+
+    def switching(self, t, x):
+        return x[0]
+
+    def reset(self, t, x, surface):
+        return x.at[2].add(1e-3)
+
+
+def test_a_component_that_events_change_does_not_close():
+    found = jf.periodic_orbit(Counted(FUSE.a, FUSE.c), jnp.array([0.0, 0.5, 0.0]), throw=False)
+    assert outcome_names(found.result) == "newton_singular"
+
+
+class Thermostat(jf.System):
+    """x' = q − x, switched off at `high` and on at 0.2, with a second program r = 1 in which it
+    is switched off later."""
+
+    high: jax.Array
+    slides = False
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1] - x[0], 0 * t, 0 * t])
+
+    def switching(self, t, x):
+        return jnp.stack([self.high + 0.1 * x[2] - x[0], x[0] - 0.2])
+
+    def reset(self, t, x, surface):
+        return x.at[1].set(jnp.where(surface == 0, 0.0, 1.0))
+
+
+def test_an_autonomous_orbit_keeps_its_program():
+    for r in (0, 1):
+        high = 0.5 + 0.1 * r
+        period = np.log(0.8 / (1 - high)) + np.log(high / 0.2)
+        start = jnp.array([0.3, 1.0, r])
+        found = jf.periodic_orbit(Thermostat(jnp.array(0.5)), start, period=1.02 * period)
+        assert_allclose(found.period, period, rtol=1e-10)
+        assert_array_equal(found.x0[1:], [1, r])
+        assert_allclose(np.sort(abs(found.multipliers)), [0, 1, 1], rtol=0, atol=1e-8)
+        assert found.stable
+
+
+def test_an_equilibrium_keeps_its_program():
+    """Below the temperature of switching off, it rests at 0.4 q."""
+
+    class Weak(Thermostat):
+        def vector_field(self, t, x, side):
+            return jnp.stack([self.high * x[1] - x[0], 0 * t, jnp.zeros_like(t)])
+
+        def switching(self, t, x):
+            return jnp.stack([1.0 - x[0], x[0] + 0.2])
+
+    weak = Weak(jnp.array(0.4))
+    for q in (1.0, 0.0):
+        found = jf.equilibrium(weak, jnp.array([0.3, q, 1.0]))
+        assert_allclose(found.x, [0.4 * q, q, 1.0], rtol=0, atol=1e-12)
+        assert_allclose(found.eigenvalues, [0, 0, -1], rtol=0, atol=1e-12)
+        assert found.stable
+    guess = jnp.array([0.3, 1.0, 0.0])
+    slope = jax.jacfwd(lambda high: jf.equilibrium(Weak(high), guess, throw=False).x)
+    assert_allclose(slope(weak.high), [1, 0, 0], rtol=0, atol=1e-12)
+    branch = jf.continue_equilibrium(weak, "high", jf.equilibrium(weak, guess), stop=0.8)
+    assert_allclose(branch.equilibria.x[-1], [0.8, 1, 0], rtol=0, atol=1e-12)
+    assert branch.equilibria.stable.all() and not branch.points
