@@ -83,7 +83,10 @@ class Expansion:
         self.jumps = False
         """Whether there are any, as comparisons of states."""
         self.compared: dict[tuple[Series, Series], None] = {}
-        """The pairs of which a program takes the larger or the smaller, or selects by it."""
+        """The pairs of which a program takes the larger or the smaller, or selects by it, and those
+        that are equal where another operation jumps."""
+        self.unplaced: dict[str, None] = {}
+        """The names of operations of which it is not known where they jump."""
         self._same: dict[tuple, Any] = {}
 
     def series(self, make: Callable[[int], Any], degree: int | None = None) -> Series:

@@ -9,7 +9,7 @@ computes the field up to order 0 with the decisions at the start (`Expansion.ahe
 order 1 with those up to order 1, and all others with those up to order `AHEAD`.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -50,9 +50,56 @@ def _filled(v: Series, k: int) -> Any:
     return jnp.zeros_like(first_of(v)) if v[k] is None else v[k]
 
 
+def list_places(expansion: Expansion, eqn: Any, values: Sequence[Series], out: Series) -> None:
+    """Lists the pairs that are equal where an operation jumps next, given its operands, and its
+    result in this step. Of an operation for which they are not known the name is listed."""
+    name, a = eqn.primitive.name, values[0]
+    if expansion.ahead < AHEAD or all(v.degree == 0 for v in values) or name in _WITHOUT_PLACE:
+        return
+    if name == "convert_element_type":
+        if not jnp.issubdtype(eqn.outvars[0].aval.dtype, jnp.integer):
+            return
+        # Between −1 and 1 this has one place too many, at zero.
+        out = expansion.series(lambda _: jnp.floor(just_after(AHEAD, a)), 0)
+    if name == "rem":
+        size = expansion.series(lambda _: abs(values[1][0]), 0)
+        sides = (out, expansion.constant(0.0)), (size, out), (out, _moved(expansion, size, -1.0))
+    elif name in _STEPS:
+        below, above = (_moved(expansion, out, 1.0, shift) for shift in _STEPS[name])
+        sides = (a, below), (above, a)
+    elif name == "sign":
+        sides = ((a, expansion.constant(0.0)),)
+    else:
+        expansion.unplaced[name] = None
+        return
+    expansion.compared.update(dict.fromkeys(sides))
+
+
+# The interval of operands with one result, from the result on.
+_STEPS = {
+    "ceil": (-1.0, 0.0),
+    "convert_element_type": (0.0, 1.0),
+    "floor": (0.0, 1.0),
+    "round": (-0.5, 0.5),
+}
+# Operations whose result changes nowhere, or only at single moments, as a test for equality.
+_WITHOUT_PLACE = frozenset(["is_finite"])
+
+
+def _moved(expansion: Expansion, v: Series, factor: float, shift: float = 0.0) -> Series:
+    """factor v + shift, for a constant."""
+    return expansion.series(lambda _: factor * first_of(v) + shift, 0)
+
+
 def kinks_of(expansion: Expansion, orders: int) -> tuple[Array, ...] | None:
     """The differences of all pairs that are compared, as series that are positive just after the
     start of a step: their coefficients, one array for each order. None without any."""
+    if expansion.unplaced:
+        raise ValueError(
+            "`stepper` must not be jaxfil.Taylor() with a tolerance, or a kink in `switching`, for "
+            "a system with an operation whose jumps it cannot locate, got one with "
+            f"`{next(iter(expansion.unplaced))}`. diffrax.Dopri8() takes any."
+        )
     pairs = list(expansion.compared)
     if not pairs:
         return None

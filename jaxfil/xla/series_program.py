@@ -24,7 +24,7 @@ from jaxfil.xla.series import (
     product,
     sum_of,
 )
-from jaxfil.xla.series_jumps import decided_by, just_after
+from jaxfil.xla.series_jumps import decided_by, just_after, list_places
 from jaxfil.xla.series_rules import (
     COMPARISONS,
     FROZEN,
@@ -39,6 +39,9 @@ from jaxfil.xla.series_rules import (
 # Operations with a program whose value is theirs, by the names of their parameters. The rule of a
 # `custom_jvp` and the storage of `jax.checkpoint` concern derivatives by JAX.
 _WRAPPED = {"checkpoint": "jaxpr", "custom_jvp_call": "call_jaxpr", "remat2": "jaxpr"}
+
+# The largest number of passes of a loop that is written out, enough to search 2³² places.
+_PASSES = 32
 
 
 def expanded(expansion: Expansion, program: Any, args: Sequence[Any]) -> list[Any]:
@@ -109,6 +112,8 @@ def _new(expansion: Expansion, jaxpr: Any, eqn: Any, inputs: Sequence[Any]) -> l
         return [expansion.constant(v) for v in evaluate_one(jaxpr, eqn, values)]
     if name == "cond":
         return _of_cond(expansion, eqn, inputs)
+    if name == "scan" and _counts(eqn):
+        return _written_out(expansion, eqn, inputs)
     (out, *more) = (v.aval for v in eqn.outvars)
     if more:
         raise NoSeries(name)
@@ -204,6 +209,26 @@ def _of_cond(expansion: Expansion, eqn: Any, inputs: Sequence[Any]) -> list[Any]
     return [chosen(*cases) for cases in zip(*branches, strict=True)]
 
 
+def _counts(eqn: Any) -> bool:
+    """Whether a loop has a few known passes, and carries integers or flags alone, as the search for
+    a place in a table."""
+    carried = len(eqn.invars) - eqn.params["num_consts"] == len(eqn.outvars)
+    return carried and eqn.params["length"] <= _PASSES and not any(map(_is_real, eqn.outvars))
+
+
+def _is_real(atom: Any) -> bool:
+    return is_real(atom.aval)
+
+
+def _written_out(expansion: Expansion, eqn: Any, inputs: Sequence[Any]) -> list[Any]:
+    """A loop pass after pass, so that its comparisons are located."""
+    program, split = _opened(expansion, eqn.params["jaxpr"]), eqn.params["num_consts"]
+    fixed, carried = list(inputs[:split]), list(inputs[split:])
+    for _ in range(eqn.params["length"]):
+        carried = expanded(expansion, program, [*fixed, *carried])
+    return carried
+
+
 def _of_one(expansion: Expansion, eqn: Any, inputs: Sequence[Series]) -> Series:
     """The result of an operation on series of whole arrays."""
     name, moves = eqn.primitive.name, is_real(eqn.outvars[0].aval)
@@ -218,7 +243,9 @@ def _of_one(expansion: Expansion, eqn: Any, inputs: Sequence[Series]) -> Series:
     constant = all(v.degree == 0 for v in inputs)
     if not moves or (name in FROZEN and not _is_complex(eqn)) or constant:
         ahead = decided_by(expansion, *inputs)
-        return expansion.series(lambda _: bind(*(just_after(ahead, v) for v in inputs)), 0)
+        out = expansion.series(lambda _: bind(*(just_after(ahead, v) for v in inputs)), 0)
+        list_places(expansion, eqn, inputs, out)
+        return out
     if name not in LINEAR or any(v.degree != 0 for v in inputs[1:]):
         raise NoSeries(name)
     # The other operands, such as positions, are constants in all orders.

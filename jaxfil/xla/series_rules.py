@@ -25,7 +25,7 @@ from jaxfil.xla.series import (
     sum_of,
 )
 from jaxfil.xla.series_functions import FUNCTIONS
-from jaxfil.xla.series_jumps import compared, decided_by, just_after
+from jaxfil.xla.series_jumps import compared, decided_by, just_after, list_places
 
 
 class NoSeries(ValueError):
@@ -96,7 +96,9 @@ def _remainder(expansion: Expansion, eqn: Any, a: Series, b: Series) -> Series:
         after = just_after(ahead, a)
         return jax.lax.rem(after, b[0]) - (after - first_of(a))
 
-    return expansion.series(make, a.degree)
+    out = expansion.series(make, a.degree)
+    list_places(expansion, eqn, (a, b), out)
+    return out
 
 
 def _dot(expansion: Expansion, eqn: Any, a: Series, b: Series) -> Series:
@@ -139,7 +141,9 @@ RULES: dict[str, Callable] = FUNCTIONS | {
     "ge": _of_comparison(jnp.greater_equal),
     "gt": _of_comparison(jnp.greater),
     "le": _of_comparison(jnp.less_equal),
+    "le_to": _of_comparison(jnp.less_equal),
     "lt": _of_comparison(jnp.less),
+    "lt_to": _of_comparison(jnp.less),
     "max": _larger,
     "min": _smaller,
     "ne": _of_comparison(jnp.not_equal),
@@ -149,7 +153,7 @@ RULES: dict[str, Callable] = FUNCTIONS | {
     "stack": _put_together,
 }
 """The rules of operations, by their names."""
-COMPARISONS = frozenset(["eq", "ge", "gt", "le", "lt", "ne"])
+COMPARISONS = frozenset(["eq", "ge", "gt", "le", "le_to", "lt", "lt_to", "ne"])
 # Real numbers that are selected by a comparison of the operands, or jump.
 _CHOSEN = frozenset(["abs", "clamp", "max", "min", "rem"])
 # Operations that are linear in the first operand, given the others.
