@@ -41,7 +41,7 @@ from jaxfil.integrate.loop.free_step import (
     try_free_step,
 )
 from jaxfil.integrate.loop.iterate import finish, integrate, judge
-from jaxfil.integrate.loop.path import path_of, step_along
+from jaxfil.integrate.loop.path import ends_at_kinks, path_of, step_along
 from jaxfil.integrate.loop.start import initial_state
 from jaxfil.integrate.loop.trial import trial_step
 from jaxfil.integrate.steppers.explicit import Trial
@@ -87,8 +87,10 @@ def _integrate_together(problem: Problem, x0: Components) -> LoopState:
     # one loop is then smaller than three.
     coasts_alone = problem.recording.recorder.in_free_steps
     coasts_alone = coasts_alone and all(e.in_free_steps for e in problem.extensions)
-    # Lanes coast from one grid point to the next; steps of a tolerance do not follow the grid.
+    # Lanes coast from one grid point to the next, which steps of a tolerance, or to a kink, do not
+    # follow.
     coasts_alone = coasts_alone and problem.tableau.tolerance is None
+    coasts_alone = coasts_alone and not ends_at_kinks(problem)
     if problem.system.m == 0 or problem.compact or not coasts_alone:
         return integrate(problem, x0)
     few_stopped, few_near = _SLIDING if problem.system.slides else _CROSSING

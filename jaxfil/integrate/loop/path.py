@@ -25,6 +25,7 @@ from jaxfil.integrate.system.components import (
     Components,
     Polynomial,
     any_of,
+    horner,
     least,
     on_each,
     where,
@@ -36,19 +37,22 @@ def path_of(problem: Problem, state: LoopState, length: Length, field: ModeField
     """The motion in a step, for a Taylor tableau."""
     assert isinstance(problem.tableau, TaylorTableau)
     t, x = problem.grid.t0 + state.motion.tau, state.motion.x
-    return field.polynomial(problem.tableau.order, t, x, length.h, _ends_at_kinks(problem))
+    return field.polynomial(problem.tableau.order, t, x, length.h, ends_at_kinks(problem))
 
 
 def may_be_cut(problem: Problem) -> bool:
     """Whether steps may end on their polynomial."""
-    return problem.system.m > 0 or _ends_at_kinks(problem)
+    return problem.system.m > 0 or ends_at_kinks(problem)
 
 
-def _ends_at_kinks(problem: Problem) -> bool:
-    """Whether steps end at kinks of the field, which a tolerance needs: the error at the end of a
-    step does not show a kink that has been passed twice. Without a tolerance the grid has the
-    steps."""
-    return problem.tableau.tolerance is not None and problem.system.structure.kinked
+def ends_at_kinks(problem: Problem) -> bool:
+    """Whether steps end at kinks, which a tolerance needs: the error at the end of a step does not
+    show a kink that has been passed twice. Without a tolerance the grid has the steps, except where
+    H has a kink, beyond which the polynomial of its guard would hide a contact."""
+    structure, tableau = problem.system.structure, problem.tableau
+    with_series = isinstance(tableau, TaylorTableau)
+    kinked = structure.folded if tableau.tolerance is None else structure.kinked
+    return with_series and kinked
 
 
 def guards_of(problem: Problem, state: LoopState, length: Length, path: Polynomial) -> tuple:
@@ -171,17 +175,36 @@ def _beyond_kink(
     # A value that is compared with itself has no kink.
     near = (noise > 0) & ~stays_positive(shifted, 0.0 * noise)
 
-    def searched(*c: Array) -> Array:
+    def searched(*c: Array) -> tuple[Array, Array]:
         # The second is the end of the part in which zeros are known.
         found, known, _ = first_zero(system, 0.0 * noise, *c)
-        return jnp.min(select(near, jnp.minimum(found, known), NEVER))
+        return select(near, found, NEVER), select(near, known, NEVER)
 
-    def nowhere(*c: Array) -> Array:
-        return jnp.full_like(length.h, NEVER)
+    def nowhere(*c: Array) -> tuple[Array, Array]:
+        never = jnp.full_like(noise, NEVER)
+        return never, never
 
-    s = system.where_any(jnp.any(near), searched, nowhere, *shifted)
+    found, known = system.where_any(jnp.any(near), searched, nowhere, *shifted)
+    s = jnp.minimum(jnp.min(found), jnp.min(known))
     moves = select(length.h == 0, 1.0, abs(length.h))
-    return s + 2 * problem.same_time(state.motion.tau) / moves
+    beyond = stop_gradient(2 * problem.same_time(state.motion.tau) / moves)
+    return _with_derivative(problem, s, (found == s) & (s < 1), kinks) + beyond
+
+
+def _with_derivative(problem: Problem, s: Array, ends: Array, kinks: tuple[Array, ...]) -> Array:
+    """The fraction s of a path up to the kinks that it `ends` at, with the derivatives of their
+    zero."""
+    # Of kinks at one place, such as those of |x| and of its sign, the sum has the same zero.
+    own = tuple(jnp.sum(select(ends, v, 0.0)) for v in kinks)
+    slope = tuple(k * v for k, v in enumerate(own) if k > 0)
+    # Two of Newton's steps from a constant have the first and second derivatives of a simple zero.
+    found = s
+    for _ in range(2):
+        rate = horner(slope, found)
+        found = found - horner(own, found) / select(rate == 0, 1.0, rate)
+    # At a kink that is only touched the next steps go far, and its time has no derivative.
+    simple = abs(found - s) <= problem.system.eps**0.5
+    return s + select(simple, found - stop_gradient(found), 0.0)
 
 
 def _are_finite(*c: Array) -> Array:

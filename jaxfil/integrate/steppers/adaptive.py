@@ -22,7 +22,8 @@ class Adaptive(eqx.Module):
     is chosen by a PI controller, h' = h · 0.9 q^(−0.7/p) q_last^(0.4/p) for a stepper of order p,
     with the factor limited to [0.2, 10]. Contacts, ticks of clocks and saving times are located as
     with fixed steps, and each lane of a batch has its own steps. In derivatives the lengths are
-    constants. The error of a run exceeds the error of its steps; `estimate_error` measures it.
+    constants, apart from times of contacts, and of kinks with `Taylor`. The error of a run exceeds
+    the error of its steps; `estimate_error` measures it.
 
     Suited to motions whose rates differ by orders of magnitude, such as a spike or a stiff contact
     after a slow flight. For other motions a fixed step is faster in a batch.

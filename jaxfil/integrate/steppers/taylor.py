@@ -40,10 +40,12 @@ class Taylor(eqx.Module):
     x(t + h) = Σ_{k ≤ p} x_k h^k of order p, with the coefficients x_k by recurrences over the
     operations of the field, which must have power series: sums, products, quotients, powers,
     exponentials, trigonometric and hyperbolic functions and their inverses, selections. A selection
-    is decided at the start of the step, and on a kink of `max`, `abs`, `where` and the like by the
-    motion just after it. With `Adaptive` a step ends at the first kink inside it, so that kinks do
-    not reduce the order; otherwise a kink shows in the error, which is estimated by the defect of
-    the field at the end of the step. A root, a power that is not whole, a power by a
+    is decided at the start of the step, and on a kink of `max`, `abs`, `where`, or a jump of
+    `sign`, `floor`, `%` and the like, by the motion just after it. With `Adaptive` a step ends at
+    the first kink or jump inside it, of which the time has its derivatives, so that kinks do not
+    reduce the order. Without, the error shows a kink if it is estimated beyond it, by the defect of
+    the field at the end of the step, and not if a step passes it twice; only at kinks of
+    `switching` a step always ends. A root, a power that is not whole, a power by a
     parameter above 4 or a quotient (`jnp.sinc`) has no series where it is made of an exact zero
     that the motion leaves, as `|v|` at rest; such a run ends as `nonfinite`. With
     `diffrax.RecursiveCheckpointAdjoint()` the gradient is NaN where the field of the other side is
@@ -54,7 +56,8 @@ class Taylor(eqx.Module):
     each other, use `diffrax.Dopri8()`.
 
     **Errors**: a `ValueError` for an order out of range, and one that names an operation of the
-    field without a power series, for example a `jax.lax.while_loop`.
+    field without a power series, for example a `jax.lax.while_loop`, or where steps end at kinks
+    an operation whose jumps cannot be located, for example `jnp.argmin`.
 
     **Source**: À. Jorba and M. Zou, A software package for the numerical integration of ODEs by
     means of high-order Taylor methods, Experimental Mathematics 14 (2005).

@@ -35,6 +35,8 @@ class Structure:
     hold the motion on it. For the position of a mass it is not."""
     kinked: bool
     """Whether H or the field on constant sides may have a kink where time and state move."""
+    folded: bool
+    """Whether H may."""
     flat: bool
     """Whether all H_j are affine in the state."""
     members: tuple[tuple[int, ...], ...] | None
@@ -66,7 +68,8 @@ def of(
     moving = nothing[0], True, jax.tree.map(lambda _: True, of_number[0])
     steady = jax.tree.map(lambda _: False, of_side[0]) if of_side else Components(())
     flat = switching.is_affine(*nothing, moving[2])
-    kinked = field.is_kinked(*moving, steady, *none) or switching.is_kinked(*moving)
+    folded = switching.is_kinked(*moving)
+    kinked = folded or field.is_kinked(*moving, steady, *none)
     steers = [_flat(switching.depends(*nothing, number)) for number in of_number]
     numbers = [steer for steer, sides in zip(steers, switched, strict=True) if sides]
     steered = tuple(any(steer[j] for steer in numbers) for j in range(m))
@@ -79,6 +82,7 @@ def of(
             affine=False,
             steered=steered,
             kinked=kinked,
+            folded=folded,
             flat=flat,
             members=None,
             constant=constant,
@@ -95,6 +99,7 @@ def of(
         affine=affine,
         steered=steered,
         kinked=kinked,
+        folded=folded,
         flat=flat,
         members=_members(np.array(steers)),
         constant=constant,

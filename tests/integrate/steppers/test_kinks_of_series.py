@@ -1,11 +1,13 @@
 """Kinks and jumps that no surface declares, located on the polynomial of a Taylor step."""
 
+import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.optimize import brentq
 
 import jaxfil as jf
 
@@ -84,3 +86,87 @@ def test_a_jump_that_cannot_be_located_is_refused_by_name():
     # Within one well, with fixed steps.
     sol = jf.solve(Nearest(), x0, 0.0, 1.0, 0.1, stepper=jf.Taylor())
     assert_allclose(sol.x_final[0], 0.2 + 0.1 * np.cos(1.0), rtol=1e-13)
+
+
+class Onset(jf.System):
+    """A force from an unknown time on, and a speed that drops from 2 to 1 at x = 1."""
+
+    at: jax.Array
+
+    def vector_field(self, t, x, side):
+        speed = jnp.where(x[1] > 1.0, -2.0, -1.0)
+        return jnp.stack([jnp.maximum(t - self.at, 0.0), speed])
+
+
+class Stiffening(jf.System):
+    """x' = −x − max(x − 1, 0)."""
+
+    def vector_field(self, t, x, side):
+        return -x - jnp.maximum(x - 1.0, 0.0)
+
+
+def test_the_time_of_a_kink_has_its_derivatives():
+    # (t1 − p)²/2, and 1 − (t1 − (x0 − 1)/2) behind the jump.
+    def end(v):
+        x0 = jnp.stack([0.0 * v[0], v[1]])
+        return jf.solve(Onset(v[0]), x0, 0.0, 2.0, FINE, stepper=jf.Taylor()).x_final
+
+    @jax.jit
+    def both(v):
+        return jax.jacfwd(end)(v), jax.jacfwd(jax.jacfwd(end))(v)
+
+    first, second = both(jnp.array([0.7, 2.0]))
+    assert_allclose(first, [[-1.3, 0.0], [0.0, 0.5]], rtol=0, atol=1e-10)
+    curved = np.zeros((2, 2, 2))
+    curved[0, 0, 0] = 1.0
+    assert_allclose(second, curved, rtol=0, atol=1e-10)
+
+
+@pytest.mark.slow
+def test_derivatives_through_a_kink_of_the_state_in_both_modes():
+    # e^(−t) √(2 x0 − 1) behind the kink.
+    def end(x0, **options):
+        x0 = jnp.stack([x0])
+        return jf.solve(Stiffening(), x0, 0.0, 2.0, FINE, stepper=jf.Taylor(), **options).x_final[0]
+
+    root, decay, at = np.sqrt(3.0), np.exp(-2.0), jnp.array(2.0)
+    second = jax.jit(jax.jacfwd(jax.jacfwd(end)))(at)
+    assert_allclose(second, -decay / root**3, rtol=1e-10)
+    back = {"adjoint": diffrax.RecursiveCheckpointAdjoint()}
+    first = jax.jit(jax.grad(lambda x0: end(x0, **back)))(at)
+    assert_allclose(first, decay / root, rtol=1e-10)
+
+
+class Chute(jf.System):
+    """x'' = 5.2, and a drag of 0.8 x' where |x| > 1."""
+
+    slides = False
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], 5.2 - 0.4 * (1 + side) * x[1]])
+
+    def switching(self, t, x):
+        return abs(x[0]) - 1.0
+
+
+def test_a_surface_with_a_kink_is_not_missed_in_a_long_step():
+    @jax.jit
+    @jax.vmap
+    def end(x0):
+        sol = jf.solve(Chute(), x0, 0.0, 1.5, 1.5, stepper=jf.Taylor(30), max_events=8)
+        return sol.x_final, sol.num_events
+
+    # One passes x = −1 and comes back within the step, one turns before.
+    found, events = end(jnp.array([[0.5, -4.0], [0.5, -3.9]]))
+    # Below −1: x' = u + (v − u) e^(−0.8 s) with u = 6.5, from a speed of √(16 − 10.4 · 1.5).
+    v, u = -np.sqrt(16 - 10.4 * 1.5), 5.2 / 0.8
+
+    def depth(s):
+        return u * s + (v - u) * (1 - np.exp(-0.8 * s)) / 0.8
+
+    stay = float(brentq(depth, 0.01, 1.0, xtol=1e-15))  # pyright: ignore[reportArgumentType]
+    back = u + (v - u) * np.exp(-0.8 * stay)
+    rest = 1.5 - (4 + v) / 5.2 - stay
+    exact = [[-1 + back * rest + 2.6 * rest**2, back + 5.2 * rest], [0.5, 3.9]]
+    assert_array_equal(events, [2, 0])
+    assert_allclose(found, exact, rtol=0, atol=1e-12)
