@@ -12,11 +12,13 @@ of f, divided by k + 1. Coefficients are therefore computed on demand, and store
 """
 
 import functools as ft
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+
+from jaxfil.xla.bounded_slope import bounded
 
 # Orders of a motion that decide its jumps, 2 for a start at rest on a kink.
 AHEAD = 2
@@ -72,11 +74,17 @@ class Same:
 class Expansion:
     """A set of related series, and the functions for their first coefficients.
 
-    `functions` replace XLA's, as in `trace`; each sine and cosine goes through `hold`.
+    `functions` replace XLA's, as in `trace`; each sine and cosine goes through `hold`. Slopes of
+    `roots` are zero where they are infinite (`bounded_slope`).
     """
 
-    def __init__(self, functions: Mapping[str, Callable], hold: Callable = lambda v: v):
-        self.functions, self._hold = functions, hold
+    def __init__(
+        self,
+        functions: Mapping[str, Callable],
+        hold: Callable = lambda v: v,
+        roots: Collection[str] = (),
+    ):
+        self.functions, self._hold, self._roots = functions, hold, roots
         self.made: list[Series] = []
         self.ahead = AHEAD
         """The order up to which coefficients of a motion decide its jumps (see `series_jumps`)."""
@@ -123,13 +131,14 @@ class Expansion:
             self._same[key] = make()
         return self._same[key]
 
-    def first(self, name: str, value: Any) -> Any:
-        """A function of a number, by its name in XLA."""
+    def first(self, name: str, *values: Any) -> Any:
+        """A function of one or two numbers, by its name in XLA."""
         given = self.functions.get(name)
         # The replacements are polynomials for these two types (see `fast_trig`).
-        if given is not None and jnp.result_type(value) in (jnp.float32, jnp.float64):
-            return self._hold(given(value))
-        return getattr(jax.lax, name)(value)
+        if given is not None and jnp.result_type(*values) in (jnp.float32, jnp.float64):
+            return self._hold(given(*values))
+        function = getattr(jax.lax, name)
+        return bounded(function)(*values) if name in self._roots else function(*values)
 
     def stage(self, wanted: Sequence[Series], orders: range, run: Callable) -> None:
         """Computes some coefficients of some series inside `run(function, arrays)`, which calls the

@@ -9,9 +9,11 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from jax.lax import stop_gradient
 
 from jaxfil.xla.fast_trig import arctan2
 from jaxfil.xla.known import is_known
+from jaxfil.xla.masked_product import masked_product
 from jaxfil.xla.select import select
 from jaxfil.xla.series import (
     Expansion,
@@ -161,7 +163,7 @@ def _shifted(expansion: Expansion, a: Series, number: Any) -> Series:
 def _real_power(expansion: Expansion, a: Series, exponent: Series) -> Series:
     """a^c for a constant c: k a_0 y_k = Σ_{i ≥ 1} (i (c + 1) − k) a_i y_{k−i}."""
     # From a y' = c a' y. It divides by a_0, even if y is regular at 0, as for an integer c.
-    inverse = expansion.series(lambda _: 1.0 / jnp.asarray(a[0]), 0)
+    inverse = expansion.series(lambda _: _inverse_or_one(first_of(a)), 0)
     # Products have the derivatives by all coefficients, also by the ones that are zero.
     powers = [] if _is_broken(exponent) else range(_FEW + 1)
     products = [_of_whole(expansion, a, n) for n in powers]
@@ -169,22 +171,35 @@ def _real_power(expansion: Expansion, a: Series, exponent: Series) -> Series:
     def make(k: int) -> Any:
         c = exponent[0]
         if k == 0:
-            return jnp.power(a[0], c)
+            return expansion.first("pow", first_of(a), jnp.asarray(c))
         terms = [times((i * (c + 1) - k) * (1.0 / k), times(a[i], y[k - i])) for i in _upto(k)]
         out = times(add(terms), inverse[0])
         return None if out is None else select(a[0] != 0, out, of_zero(k, c))
 
     def of_zero(k: int, c: Any) -> Any:
-        none = jnp.zeros_like(a[0])
+        none = jnp.zeros_like(first_of(a))
         # Any other power has no series here, unless its base stays zero.
-        out = none if a[k] is None else select(a[k] != 0, jnp.nan, none)
+        unknown = none if a[k] is None else select(a[k] != 0, jnp.nan, none)
+        out = unknown
         for n, v in enumerate(products):
-            out = select(c == n, none if v[k] is None else v[k], out)
+            own = none if v[k] is None else v[k]
+            out = select(c == n, own + _without_slope(unknown, c), out)
         return out
 
     y = expansion.series(make)
     kept(a, y)
     return y
+
+
+def _inverse_or_one(v: Any) -> Any:
+    """1/v, or 1 where v is 0, so that a derivative that is not selected is finite."""
+    return 1.0 / select(v != 0, v, jnp.ones_like(v))
+
+
+def _without_slope(unknown: Any, c: Any) -> Any:
+    """0, with the derivative by an exponent c that is `unknown`: s^c ln s has no series."""
+    apart = jnp.broadcast_to(c - stop_gradient(c), jnp.shape(unknown))
+    return masked_product(unknown, apart.astype(jnp.result_type(unknown)))
 
 
 def _is_broken(exponent: Series) -> bool:
@@ -237,19 +252,20 @@ def _whole_number(b: Series) -> int | None:
 
 def _square_root(expansion: Expansion, eqn: Any, a: Series) -> Series:
     """√a: 2 y_0 y_k = a_k − Σ y_i y_{k−i} over 0 < i < k."""
-    inverse = expansion.series(lambda _: 0.5 / y[0], 0)
-    # The root of zero stays zero as long as its square does.
-    of_zero = expansion.series(lambda _: select(y[0] != 0, inverse[0], 0.0), 0)
+    inverse = expansion.series(lambda _: 0.5 * _inverse_or_one(y[0]), 0)
 
     def make(k: int) -> Any:
         if k == 0:
-            return jnp.sqrt(first_of(a))
+            return expansion.first("sqrt", first_of(a))
         # As in `square`, equal products are computed once. The terms with y_0 are on the other
         # side.
         pairs = add([times(y[i], y[k - i]) for i in range(1, (k + 1) // 2)])
         middle = times(y[k // 2], y[k // 2]) if k % 2 == 0 else None
         rest = minus(a[k], add([scaled(2.0, pairs), middle]))
-        return None if rest is None else rest * select(rest != 0, inverse[0], of_zero[0])
+        if rest is None:
+            return None
+        # The root of zero stays zero as long as its square does, and has no series otherwise.
+        return rest * select(y[0] != 0, inverse[0], select(rest != 0, jnp.inf, 0.0))
 
     y = expansion.series(make)
     kept(y)

@@ -142,7 +142,8 @@ class Traced:
 
     def expansion(self, fence: Array | None = None) -> Expansion:
         """A new expansion for power series of the function."""
-        return Expansion(self._functions, _same if fence is None else lambda v: v / fence)
+        hold = _same if fence is None else lambda v: v / fence
+        return Expansion(self._functions, hold, self._roots)
 
     def expanded(self, made: Expansion, *args: Any) -> list[Any]:
         """Power series of the results (see `series_program.expanded`), given series of the

@@ -206,6 +206,25 @@ def test_powers_by_parameters_have_their_derivatives_at_zero():
         assert_allclose(slope, c * below, rtol=0, atol=1e-15)
 
 
+def test_the_derivative_by_an_exponent_is_unknown_where_the_base_leaves_zero():
+    # Of s^c it is s^c ln s, which has no series. The derivatives by others are not touched by it.
+    bases, powers = np.array(ZEROS), jnp.array([2.0, 3.0, 2.0, 1.0])
+
+    @jax.jit
+    @jax.vmap
+    def slopes(a, c):
+        return jax.jacfwd(parametrised, (0, 1))(a, c), jax.jacrev(parametrised)(a, c)
+
+    (by_base, by_power), back = slopes(bases, powers)
+    leaves = np.any(bases != 0, axis=1)
+    assert_array_equal(np.isnan(by_power).any(axis=1), leaves)
+    assert_array_equal(by_power[~leaves], 0.0)
+    for a, c, forward, reverse in zip(bases, powers, by_base, back, strict=True):
+        exact = float(c) * np.linalg.matrix_power(products_with(a), int(c) - 1)
+        assert_allclose(forward, exact, rtol=0, atol=1e-15)
+        assert_allclose(reverse, exact, rtol=0, atol=1e-15)
+
+
 def test_a_root_has_its_derivatives_where_coefficients_are_zero():
     @jax.jit
     @jax.vmap

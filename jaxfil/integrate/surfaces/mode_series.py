@@ -144,14 +144,16 @@ def _of_slide(
     rise, fall = (_rates(system, expansion, t, x, f) for f in (above, below))
     weights = [_weight(expansion, s, a, b) for s, a, b in zip(mode.parts, rise, fall, strict=True)]
     fields = []
-    for owners, up, down in zip(system.structure.switched, above, below, strict=True):
+    structure = system.structure
+    each = zip(structure.switched, structure.alone, above, below, strict=True)
+    for owners, alone, up, down in each:
         if not owners:
             # The number is not switched, so both sides agree in it.
             fields.append(up)
             continue
         # Surfaces with series are separate, so a number has one owner (`slides_have_series`).
         s, w = mode.parts[owners[0]], weights[owners[0]]
-        fields.append(_blend(expansion, s, w, up, down))
+        fields.append(_blend(expansion, s, w, up, down, still=alone == owners[0]))
     off = _off(system, expansion, t, x, mode)
     guards = [_guard(expansion, s, w, g) for s, w, g in zip(mode.parts, weights, off, strict=True)]
     return fields, guards
@@ -178,15 +180,19 @@ def _weight(expansion: Expansion, s: Array, rise: Series, fall: Series) -> Serie
     return quotient(expansion, sum_of(expansion, [fall, rise]), below)
 
 
-def _blend(expansion: Expansion, s: Array, w: Series, up: Series, down: Series) -> Series:
-    """The blended field of both sides, tangent to the surface, or the field of the current side."""
+def _blend(
+    expansion: Expansion, s: Array, w: Series, up: Series, down: Series, still: bool
+) -> Series:
+    """The blended field of both sides, tangent to the surface, or the field of the current side.
+    It is exactly zero for a number that a slide keeps `still`, since a root of zero has no series
+    where rounding moves it."""
     half = expansion.constant(0.5)
     share = product(expansion, half, sum_of(expansion, [expansion.constant(1.0), w]))
     apart = product(expansion, share, reduced_difference(expansion, up, down))
-    mixed = sum_of(expansion, [down, apart])
+    mixed = None if still else sum_of(expansion, [down, apart])
 
     def make(k: int) -> Array | None:
-        parts = [v[k] for v in (mixed, up, down)]
+        parts = [None if v is None else v[k] for v in (mixed, up, down)]
         # A structural zero stays one, and operations on it are omitted.
         if all(v is None for v in parts):
             return None

@@ -30,6 +30,9 @@ class Structure:
     on more than one side, and no dH_j/dt on a side other than its own."""
     affine: bool
     """Whether the field is affine in its sides, for m > 1."""
+    alone: tuple[int | None, ...]
+    """For each number of the state, a surface that depends on it alone, and not on time, so that a
+    slide on that surface keeps the number constant; None without one."""
     steered: tuple[bool, ...]
     """For each surface, whether dH_j/dt is another function on other sides, so that a weight can
     hold the motion on it. For the position of a mass it is not."""
@@ -71,6 +74,8 @@ def of(
     folded = switching.is_kinked(*moving)
     kinked = folded or field.is_kinked(*moving, steady, *none)
     steers = [_flat(switching.depends(*nothing, number)) for number in of_number]
+    moved = _flat(switching.depends(nothing[0], True, still))
+    alone = _alone(np.array(steers, bool).reshape(n, m), moved)
     numbers = [steer for steer, sides in zip(steers, switched, strict=True) if sides]
     steered = tuple(any(steer[j] for steer in numbers) for j in range(m))
     constant = tuple(map(int, np.flatnonzero(_flat(field.zeros()))))
@@ -80,6 +85,7 @@ def of(
             switched=switched,
             separate=m == 1,
             affine=False,
+            alone=alone,
             steered=steered,
             kinked=kinked,
             folded=folded,
@@ -97,6 +103,7 @@ def of(
         # A reaction acts on the rates of other surfaces too.
         separate=not reacting and _are_separate(switched, steers),
         affine=affine,
+        alone=alone,
         steered=steered,
         kinked=kinked,
         folded=folded,
@@ -147,6 +154,13 @@ def _are_separate(switched: Sequence[tuple[int, ...]], steers: Sequence[list[boo
         for j, enters in enumerate(steered)
     )
     return single and not foreign
+
+
+def _alone(steers: np.ndarray, moved: Sequence[bool]) -> tuple[int | None, ...]:
+    """`Structure.alone`, given (n, m) flags of which number is in which surface, and the surfaces
+    that depend on time."""
+    single = steers & (steers.sum(axis=0) == 1) & ~np.array(moved, bool)
+    return tuple(int(np.argmax(row)) if row.any() else None for row in single)
 
 
 def _members(steers: np.ndarray) -> tuple[tuple[int, ...], ...] | None:
