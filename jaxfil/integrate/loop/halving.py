@@ -91,7 +91,7 @@ def doubted(
     step = smooth_step(problem, state, length.h, end.motion.f, trial)
     given_up = state.trust.refused >= _MOST_REFUSED
     if tableau.tolerance is not None:
-        error = relative_error(tableau, step)
+        error = relative_error(problem.system, tableau, step, sides_of(state.motion.mode))
         if problem.system.m > 0:
             error = jnp.maximum(error, hidden(problem, state, length, end))
         for extension, own in extensions_of(problem, state):

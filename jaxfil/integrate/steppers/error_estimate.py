@@ -74,7 +74,9 @@ class SmoothStep(eqx.Module):
     """The factor on the usual error limit; None stands for 1."""
 
 
-def relative_error(tableau: Tableau, step: SmoothStep) -> Array:
+def relative_error(
+    system: ComponentSystem, tableau: Tableau, step: SmoothStep, sides: Components
+) -> Array:
     """The estimated error of a step relative to the tolerance of its tableau, the q of `Adaptive`;
     NaN where it is not finite."""
     assert tableau.tolerance is not None
@@ -82,11 +84,29 @@ def relative_error(tableau: Tableau, step: SmoothStep) -> Array:
     error = abs(step.h * (step.trial.error + tableau.d[-1] * step.f1))
     rtol = max(tableau.tolerance.rtol, _LEAST_RTOL * float(jnp.finfo(step.h.dtype).eps))
     allowed = tableau.tolerance.atol + rtol * maximum(abs(step.x0), abs(step.trial.x))
+    if tableau.tolerance.atol == 0:
+        # A component that is zero, as the speed of a mass that sticks, has an error of rounding.
+        allowed = maximum(allowed, _ROUNDING * system.eps * _terms_of_step(system, step, sides))
     # A component that stays zero has no error, even with an absolute tolerance of zero.
     missed = where(error > 0, error / where(allowed > 0, allowed, 1), 0.0 * error)
     missed = where((error > 0) & (allowed == 0), jnp.inf, missed)
     norm = jnp.sqrt(dot(missed, missed) / missed.size)
     return norm if step.share is None else norm / step.share
+
+
+def _terms_of_step(system: ComponentSystem, step: SmoothStep, sides: Components) -> Components:
+    """The size of the terms summed in a step."""
+    return _terms(system.n, step.h, *_in_the_middle(system, step, sides))
+
+
+def _in_the_middle(
+    system: ComponentSystem, step: SmoothStep, sides: Components
+) -> tuple[tuple[Array, Components, Components], Callable]:
+    """The time, the state and the field in the middle of a step on some sides, and the linear map
+    of their changes to the change of the field."""
+    t, x = step.t + 0.5 * step.h, 0.5 * (step.x0 + step.trial.x)
+    f, push = jax.linearize(lambda t, x: system.field(t, x, sides), t, x)
+    return (t, x, f), push
 
 
 def may_be_too_long(tableau: Tableau, step: SmoothStep) -> Array:
@@ -123,18 +143,17 @@ def _is_gross(
     """Whether the error of a step exceeds both its limit and rounding."""
     missed, share = _missed(tableau, step)
     h, x0, x1 = step.h, step.x0, step.trial.x
-    t, x = step.t + 0.5 * h, 0.5 * (x0 + x1)
-    middle, push = jax.linearize(lambda t, x: system.field(t, x, sides), t, x)
+    middle, push = _in_the_middle(system, step, sides)
     measure = _measure(h, x0, x1, step.f0, step.f1)
     if isinstance(tableau, RosenbrockTableau):
         # A component that is damped within the step need not be accurate relative to itself.
         measure = maximum(measure, step.scale)
         # The coefficients are large and cancel, which magnifies the rounding of the stages.
         large = max(sum(map(abs, row)) for row in tableau.coupling)
-        rounded = large * _damped_terms(h, (t, x, middle), push)
+        rounded = large * _damped_terms(h, middle, push)
     else:
-        rounded = _terms(system.n, h, (t, x, middle), push)
-    faint = measure.like(jnp.zeros_like(t))
+        rounded = _terms(system.n, h, middle, push)
+    faint = measure.like(jnp.zeros_like(h))
     if system.n > _CHAIN:
         faint = _reached(system.n, h, push, measure)
     # The state is rounded in proportion to its recent maximum.

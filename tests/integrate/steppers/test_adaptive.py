@@ -101,6 +101,27 @@ def test_what_ends_a_stick_is_seen_in_any_step():
         assert_allclose(x, fixed[1], rtol=0, atol=100 * rtol)
 
 
+@pytest.mark.parametrize(
+    "name",
+    [v if v == "Dopri8" else pytest.param(v, marks=pytest.mark.release) for v in STEPPERS],
+)
+def test_a_relative_tolerance_alone_lets_a_mass_stick(name):
+    # v = v0 + a sin t − t until it is zero, and then zero to rounding.
+    pull, speeds, step = 0.4, np.array([0.7, 1.1]), jf.Adaptive(1e-8, 0.0)
+
+    @jax.vmap
+    def end(v0):
+        system, x0 = Dragged(jnp.array(pull)), jnp.stack([1.0, v0])
+        sol = jf.solve(system, x0, 0.0, 30.0, step, stepper=STEPPERS[name], throw=False)
+        return sol.x_final, sol.result == RESULTS.successful, sol.stats["num_steps"]
+
+    found, right, steps = end(speeds)
+    stops = [brentq(lambda t, v=v: v + pull * np.sin(t) - t, 0.1, 5.0, xtol=1e-15) for v in speeds]
+    exact = 1 + speeds * stops + pull * (1 - np.cos(stops)) - np.square(stops) / 2
+    assert right.all() and np.all(steps < 60)
+    assert_allclose(found, np.stack([exact, 0 * exact], axis=1), rtol=0, atol=1e-7)
+
+
 @pytest.mark.parametrize("name", ["Dopri8", pytest.param("Taylor", marks=pytest.mark.release)])
 def test_a_force_is_followed_while_it_holds_a_mass(name):
     # The mass sticks all the time, and the friction is the load a cos t.
