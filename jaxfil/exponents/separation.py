@@ -99,8 +99,8 @@ def _is_comparable(
 
 def _on_surfaces(system: ComponentSystem, t: Array, z: Components, mode: Components) -> Components:
     """A state beside one in this mode, on the surfaces that it slides or rests on, so that a run
-    from there does so too. A distance that has shrunk leads along a chord of a curved wall, which
-    may be behind it."""
+    from there does so too. A distance that has shrunk is along a chord of a curved wall, which may
+    be behind it."""
     if system.m == 0 or not (system.slides or system.resets):
         return z
     h, _, normals = system.gradients(t, z)

@@ -225,7 +225,7 @@ def _follow(
     leaves = state.pending.surfaces & resting & ~reset.moved & ~limit
     still = on & ((abs(rate) <= noise) | limit) & ~leaves
     outward = direction * sides * rate
-    # A rest ends where a map throws the state off, or leaves a reset that throws nothing back.
+    # A rest ends where a map throws the state off, or leaves a reset that lets it pass.
     away = (reset.moved | state.pending.jumped) & resting & ((outward > noise) | ~reverses)
     jumped = reset.moved | state.settled | state.pending.jumped
     # A map may also leave the state exactly on a surface that lets it pass, and that it then moves

@@ -8,7 +8,6 @@ from jaxfil.integrate.lane.state import CrossingTable
 from jaxfil.integrate.surfaces.sections import Sight
 from jaxfil.integrate.system.components import Components
 from jaxfil.integrate.system.lowered import ComponentSystem
-from jaxfil.model.outcomes import RESULTS
 
 
 class Watch(eqx.Module):

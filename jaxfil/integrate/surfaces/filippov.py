@@ -387,7 +387,7 @@ def _choose_on_one(
     count = plus.astype(jnp.int32) + minus.astype(jnp.int32) + slide.astype(jnp.int32)
     # With several modes the lane ends as not unique, whichever is taken.
     side = where(plus, 1.0, where(minus, -1.0, 0.0)).astype(direction.dtype)
-    # Of a slide that nothing holds any more, and that stands still, it is side +, as at a start.
+    # A slide without a force to hold it, which stands still, continues on side +, as at a start.
     stays = where(on & ~decided & (mode == 0), jnp.ones_like(direction), mode)
     return where(decided & (count > 0), side, stays), _count_of_all(where(decided, count, 1))
 

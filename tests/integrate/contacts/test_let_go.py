@@ -1,4 +1,4 @@
-"""What holds a mass stops to hold it at a tick or a contact: a brake that opens, a door, an edge."""
+"""What holds a mass ends at a tick or a contact: a brake that opens, a door, an edge."""
 
 import diffrax
 import jax
@@ -45,7 +45,7 @@ def test_a_brake_that_opens_without_a_load_lets_go(stepper):
 
 
 class Door(jf.System):
-    """A ball on a door, h'' = −g, that opens at a tick: its reset returns the state from then on."""
+    """A ball on a door, h'' = −g, that opens at a tick: its reset then returns the state."""
 
     at: jax.Array
     slides = False
