@@ -14,6 +14,7 @@ from jaxtyping import Array, Int
 
 from jaxfil.equilibria.balance import Balance, is_affine
 from jaxfil.equilibria.equilibrium import Equilibrium
+from jaxfil.integrate.system.closed_over import with_closed_numbers
 from jaxfil.model import check
 from jaxfil.model.outcomes import RESULTS, raise_if_failed
 from jaxfil.model.parameter import cast
@@ -86,7 +87,7 @@ def equilibrium(
     if throw:
         check.finite("guess", x)
     check.system("system", system)
-    system = cast(system, x.dtype)
+    system = with_closed_numbers(cast(system, x.dtype), x)
     autonomous("system", system)
     shape = check.shapes(system, x)
     m = 1 if shape == () else shape[0]

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from jaxfil.integrate.lane.problem import period_outcome
+from jaxfil.integrate.system.closed_over import with_closed_numbers
 from jaxfil.model import check
 from jaxfil.model.outcomes import RESULTS, raise_if_failed
 from jaxfil.model.parameter import cast
@@ -104,7 +105,7 @@ def harmonic_balance(
         )
     check.period(system, jnp.result_type(float))
     first = _first(system, guess, harmonics, periods)
-    system = cast(system, first.dtype)
+    system = with_closed_numbers(cast(system, first.dtype), first[0])
     equations = _Series(budget, periods, _cells(system, harmonics, periods), *first.shape)
     z, (residual, result, num_steps) = solve_implicit(equations, system, first.ravel())
     period = equations.period(system, first.dtype)

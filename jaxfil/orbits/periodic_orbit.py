@@ -9,6 +9,7 @@ from jaxtyping import Array
 
 from jaxfil.integrate.run.step_choice import StepCount, steps_and_stepper
 from jaxfil.integrate.steppers.explicit import Stepper, checked_stepper
+from jaxfil.integrate.system.closed_over import with_closed_numbers
 from jaxfil.integrate.system.grade import is_compact_run
 from jaxfil.model import check
 from jaxfil.model.outcomes import RESULTS, raise_if_failed
@@ -101,7 +102,7 @@ def periodic_orbit(
         check.finite("x0", x)
     dtype = x.dtype
     check.system("system", system)
-    system = cast(system, dtype)
+    system = with_closed_numbers(cast(system, dtype), x)
     autonomous = system.period is None
     if autonomous and system.clocks:
         raise ValueError(

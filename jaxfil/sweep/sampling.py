@@ -246,8 +246,7 @@ class Sampling(eqx.Module):
         """The samples of a lane from its recorded data; averages if it has reached its end."""
         saved, averages, times = kept.saved, None, None
         if self.averaging is not None:
-            averages = self._averaged(self.averaging, point, x0, kept)
-            averages = select(result == RESULTS.successful, averages, jnp.nan)
+            averages = self.averaged(*self.around(point, x0), kept, result)
             saved = dataclasses.replace(saved, xs=saved.xs[:, : self.averaging.n])
         xs = saved.xs
         if self.observable is not None:
@@ -256,17 +255,24 @@ class Sampling(eqx.Module):
             times = jnp.where(jnp.isfinite(saved.ts), saved.ts, jnp.nan)
         return Samples(xs, times, kept.halvings, averages)
 
-    def _averaged(self, averaging: Averaging, point: Point, start: Array, kept: Kept) -> Array:
-        """The numbers of all quantities of a lane."""
+    def around(self, point: Point, start: Array) -> tuple[Problem, Array]:
+        """The integration problem of a lane for what is computed from its extensions, and its
+        period."""
         # The run is differentiated forward, in a kernel, and what follows as the user asks.
         problem, _ = self.problem(point, start, transposed=True)
-        xs, ts = kept.saved.xs, kept.saved.ts
+        return problem, self.at(point.values)[1]
+
+    def averaged(self, problem: Problem, period: Array, kept: Kept, result: RESULTS) -> Array:
+        """The numbers of all quantities of a lane (see `around`) from its recorded data; NaN unless
+        it has reached its end. It uses no function of the user."""
+        averaging, xs, ts = self.averaging, kept.saved.xs, kept.saved.ts
+        assert averaging is not None
         if self.section is None:
-            _, period = self.at(point.values)
             means = jnp.mean(xs[:, averaging.n :], axis=0) / period
         else:
             means = averaging.since(xs) / (ts[-1] - ts[0])
-        return averaging.found(problem, kept.averages, means)
+        numbers = averaging.found(problem, kept.averages, means)
+        return select(result == RESULTS.successful, numbers, jnp.nan)
 
     def _observed(
         self, observable: Observable, point: Point, x0: Array, saved: SavedStates

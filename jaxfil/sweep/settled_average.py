@@ -10,7 +10,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxfil.integrate.lane.problem import period_outcome
+from jaxfil.integrate.lane.problem import Problem, period_outcome
 from jaxfil.integrate.loop.iterate import integrate
 from jaxfil.integrate.run.step_choice import StepCount
 from jaxfil.integrate.steppers.explicit import Stepper
@@ -22,7 +22,7 @@ from jaxfil.model.section import Section
 from jaxfil.model.system import System
 from jaxfil.model.types import Scalar, State
 from jaxfil.sweep.plan import sampling_of
-from jaxfil.sweep.sampling import Kept, Point, Sampling
+from jaxfil.sweep.sampling import Kept, Sampling
 from jaxfil.xla.kernel import kernel_if_it_fits
 from jaxfil.xla.lanes import lanes_of
 from jaxfil.xla.valid_derivative import only_if_valid
@@ -141,15 +141,15 @@ def _settled(sampling: Sampling, x0: Array) -> SettledAverage:
         return sampling.outcome(integrate(*sampling.problem(point, x0)))
 
     kept, result, end = kernel_if_it_fits(run, sampling.compact)(x0)
-    row = only_if_valid(_row, sampling, point, x0, kept, result)
-    _, period = sampling.at(nowhere)
+    # The problem is built outside of the rule for derivatives, where the traced numbers that
+    # functions close over become arguments.
+    problem, period = sampling.around(point, x0)
+    row = only_if_valid(_row, sampling, problem, period, kept, result)
     return SettledAverage(averaging.named(row), period_outcome(period, result), end)
 
 
 def _row(
-    sampling: Sampling, point: Point, x0: Array, kept: Kept, result: RESULTS
+    sampling: Sampling, problem: Problem, period: Array, kept: Kept, result: RESULTS
 ) -> tuple[Array, Array]:
     """Whether a lane has averages, and all their numbers."""
-    averages = sampling.sampled(point, x0, kept, result).averages
-    assert averages is not None
-    return result == RESULTS.successful, averages
+    return result == RESULTS.successful, sampling.averaged(problem, period, kept, result)

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import equinox as eqx
 import jax
 import jax.core
+import jax.extend.core as jexc
 import jax.numpy as jnp
 import numpy as np
 from jax.lax import stop_gradient
@@ -30,6 +31,19 @@ def is_known(tree: Any) -> bool:
     ([False], True)
     """
     return not any(isinstance(v, jax.core.Tracer) for v in jax.tree.leaves(tree))
+
+
+def is_outside() -> bool:
+    """Whether this is called outside of every transformation.
+
+    >>> seen = [is_outside()]
+    >>> _ = jax.grad(lambda x: seen.append(is_outside()) or x)(1.0)
+    >>> seen
+    [True, False]
+    """
+    with jax.core.eval_context():
+        outside = jexc.get_opaque_trace_state()
+    return jexc.get_opaque_trace_state() == outside
 
 
 def without_derivatives(tree: Any) -> Any:

@@ -188,3 +188,19 @@ def test_a_guess_on_a_surface_without_slides_is_on_a_side():
 def test_what_has_no_reset_cannot_rest():
     with pytest.raises(ValueError, match="`mode` must be −1, 0 or 1, since Threshold has no reset"):
         jf.equilibrium(Threshold(jnp.asarray(2.5)), jnp.array([1.0]), mode=2)
+
+
+def test_derivatives_by_a_number_that_functions_close_over():
+    """x' = k - x³ rests at the cube root of k."""
+
+    def rest(k):
+        field = lambda t, x: jnp.stack([k - x[0] ** 3])  # noqa: E731
+        return jf.equilibrium(
+            jf.piecewise(field, field, lambda t, x: x[0] - 9.0), jnp.array([1.2])
+        ).x[0]
+
+    k = jnp.array([0.7, 2.0])
+    value, slope = jax.vmap(jax.value_and_grad(rest))(k)
+    assert_allclose(value, jnp.cbrt(k), **CLOSE)
+    assert_allclose(slope, k ** (-2 / 3) / 3, **CLOSE)
+    assert_allclose(jax.grad(rest)(1.0), 1 / 3, **CLOSE)

@@ -834,3 +834,25 @@ class Teeth(jf.System):
 def test_clocks_need_a_period():
     with pytest.raises(ValueError, match="`system` must have a `period`, a common one of its clo"):
         jf.periodic_orbit(Teeth(), jnp.zeros(1), period=1.0)
+
+
+def test_derivatives_by_a_number_that_functions_close_over():
+    """x' = -x + cos wt, which never meets its surface, begins at 1/(1 + w²); its mean is 0, and its
+    first cosine has that amplitude."""
+
+    def forced(w):
+        field = lambda t, x: jnp.stack([-x[0] + jnp.cos(w * t)])  # noqa: E731
+        return jf.piecewise(field, field, lambda t, x: x[0] - 9.0, period=2 * jnp.pi / w)
+
+    def shot(w):
+        return jf.periodic_orbit(forced(w), jnp.array([0.4]), steps=20, stepper=jf.Taylor(16)).x0[0]
+
+    def balanced(w):
+        return jf.harmonic_balance(forced(w), jnp.zeros((3, 1)), harmonics=1).coefficients[1, 0]
+
+    w = jnp.array([1.0, 1.3])
+    for start in (shot, balanced):
+        value, slope = jax.vmap(jax.value_and_grad(start))(w)
+        assert_allclose(value, 1 / (1 + w**2), rtol=1e-10)
+        assert_allclose(slope, -2 * w / (1 + w**2) ** 2, rtol=1e-10)
+        assert_allclose(jax.jacfwd(start)(1.0), -0.5, rtol=1e-10)

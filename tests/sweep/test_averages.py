@@ -642,3 +642,34 @@ def test_averages_at_a_section_late_in_single_precision():
     error = 2 * np.spacing(np.float32(3069)) / (11 * 2 * np.pi)
     np.testing.assert_allclose(found.averages["loads"], loads, rtol=error)
     np.testing.assert_allclose(found.averages["side"], 0, rtol=0, atol=2 * error)
+
+
+def test_derivatives_by_numbers_that_functions_close_over():
+    """x' = -x + k cos t from its orbit, x = k (cos t + sin t)/2, and loads j x or j x²."""
+
+    def averages(k, j):
+        class Lag(jf.System):
+            slides = False
+            period = 2 * np.pi
+
+            def vector_field(self, t, x, side):
+                return -x + k * jnp.cos(t)
+
+            def switching(self, t, x):
+                return x[0]
+
+        loads = {
+            "mean": lambda t, x, side: j * x[0] ** 2,
+            "largest": jf.Maximum(lambda t, x, side: j * x[0]),
+            "crossed": jf.EventSum(lambda t, before, after, surfaces: j * surfaces),
+        }
+        run = {"transient": 1, "samples": 2, "compact": True}
+        return jf.settled_average(Lag(), loads, jnp.stack([k / 2]), **run).averages
+
+    def by_hand(k, j):
+        return {"mean": j * k**2 / 4, "largest": j * k / np.sqrt(2), "crossed": 4 * j + 0 * k}
+
+    for transformed in (jax.jacfwd, jax.jacrev):
+        found, wanted = (transformed(f, (0, 1))(1.7, 0.6) for f in (averages, by_hand))
+        for name, rates in wanted.items():
+            assert_allclose(found[name], rates, rtol=1e-8, atol=1e-12)

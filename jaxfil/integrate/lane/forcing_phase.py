@@ -21,6 +21,7 @@ from jaxtyping import Array
 
 from jaxfil.integrate.lane.problem import TimeGrid
 from jaxfil.integrate.lane.state import LoopState
+from jaxfil.integrate.system.closed_over import with_closed_numbers
 from jaxfil.model import check
 from jaxfil.model.system import System, field_of
 from jaxfil.xla.select import select
@@ -40,7 +41,6 @@ _LATER = 5
 _SAME = 1024
 
 
-@eqx.filter_custom_jvp
 def repeats(system: System, period: Array, x: Array, count: Array | int) -> Array:
     """Whether field, H and resets near a state x are the same in all of `count` periods, seen at
     some times. Forces of two frequencies, kicks at times of their own, or a slow start are examples
@@ -49,15 +49,20 @@ def repeats(system: System, period: Array, x: Array, count: Array | int) -> Arra
 
     In a derivative by the system their derivatives must be the same too: by the frequency of a
     force, but for one that determines the period, they grow with time."""
+    return _repeats(with_closed_numbers(system, x), period, x, count)
+
+
+@eqx.filter_custom_jvp
+def _repeats(system: System, period: Array, x: Array, count: Array | int) -> Array:
     same = _Values(system, x, count)
     now, later = same(system, period)
     return _are_same(now, later, same.ahead, abs(now) + abs(later))
 
 
-@repeats.def_jvp
+@_repeats.def_jvp
 def _repeats_jvp(primals: tuple, tangents: tuple) -> tuple:
     (system, period, x, count), (by_system, *_) = primals, tangents
-    found, here = repeats(system, period, x, count), stop_gradient((period, x))
+    found, here = _repeats(system, period, x, count), stop_gradient((period, x))
     # Equinox has None for tangents that are zero.
     moving = jax.tree.map(
         lambda v, by: None if by is None else stop_gradient(v),
