@@ -16,6 +16,7 @@ from jaxfil.bifurcations.closure import Closing
 from jaxfil.bifurcations.defining_system import DefiningSystem, defining_system
 from jaxfil.bifurcations.tangency import FLIGHT, Tangency, conditions
 from jaxfil.integrate.run.solution import switches
+from jaxfil.integrate.system.closed_over import with_closed_numbers
 from jaxfil.model import check
 from jaxfil.model.card import outcome, precision
 from jaxfil.model.outcomes import RESULTS, is_successful, raise_if_failed
@@ -102,7 +103,7 @@ def grazing_margin(
     check.flags(throw=throw)
     if not isinstance(orbit, Orbit) or orbit.x0.ndim != 1:
         raise ValueError(f"`orbit` must be a single Orbit, got {check.told(orbit)}.")
-    system = cast(system, orbit.x0.dtype)
+    system = with_closed_numbers(cast(system, orbit.x0.dtype), orbit.x0)
     found = _margin_at(system, orbit, _nearest(orbit))
     return raise_if_failed(found.value, found.result) if throw else found
 

@@ -877,3 +877,25 @@ def test_a_margin_and_a_value_have_second_derivatives():
         return jf.find_bifurcation(Filter(a, c), "a", orbit, "grazing", throw=False).value
 
     np.testing.assert_allclose(jax.grad(jax.grad(value))(c), (1 + c**2) ** -1.5, rtol=1e-8)
+
+
+def test_a_margin_has_derivatives_by_a_number_that_functions_close_over():
+    """x'' + x'/2 + 2 x = k cos t has the amplitude k/|1 + i/2|, and a wall at 3."""
+
+    def driven(k):
+        class Driven(jf.System):
+            period = 2 * np.pi
+            slides = False
+
+            def vector_field(self, t, x, side):
+                return jnp.stack([x[1], k * jnp.cos(t) - 0.5 * x[1] - 2 * x[0]])
+
+            def switching(self, t, x):
+                return 3.0 - x[0]
+
+        return Driven()
+
+    orbit = jf.periodic_orbit(driven(1.0), jnp.array([0.8, 0.4]), steps=20)
+    margin, slope = jax.value_and_grad(lambda k: jf.grazing_margin(driven(k), orbit))(1.0)
+    np.testing.assert_allclose(margin, 3 - 1.25**-0.5, rtol=1e-9)
+    np.testing.assert_allclose(slope, -(1.25**-0.5), rtol=1e-8)

@@ -3,6 +3,7 @@
 import math
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -627,6 +628,17 @@ def test_reverse_mode_with_a_traced_step_asks_for_max_steps():
 def test_evaluate_asks_for_a_dense_solution():
     with pytest.raises(ValueError, match="dense=True"):
         solve().evaluate(0.5)
+
+
+def test_evaluate_asks_for_a_solution_of_one_lane():
+    run = lambda x0: solve(x0=x0, saveat=diffrax.SaveAt(dense=True), stepper=jf.RK4())  # noqa: E731
+    sols = jax.vmap(run)(jnp.stack([X0, 2 * X0]))
+    with pytest.raises(
+        ValueError, match=r"`evaluate` needs .* one lane.*got a batch of shape \(2,\)"
+    ):
+        sols.evaluate(0.5)
+    at = eqx.filter_vmap(lambda sol: sol.evaluate(0.5))(sols)
+    np.testing.assert_array_equal(at[0], run(X0).evaluate(0.5))
 
 
 def test_traced_bad_step_is_an_outcome():

@@ -215,6 +215,11 @@ def _evaluate(sol: Solution, t: Times, observe: Observe | None = None) -> Array:
     """The value of `Solution.evaluate(t, observe)`."""
     if (dense := sol._dense) is None:
         raise ValueError("`evaluate` needs a solution saved with diffrax.SaveAt(dense=True).")
+    if shape := np.shape(sol.t_final):
+        raise ValueError(
+            "`evaluate` needs a solution of one lane; write "
+            f"equinox.filter_vmap(lambda sol: sol.evaluate(t))(sols), got a batch of shape {shape}."
+        )
     ts = jnp.asarray(t, dense.xs.dtype)
     if observe is None:
         return _states(dense, ts)
