@@ -18,6 +18,9 @@ from jax.lax import stop_gradient
 from jax.typing import DTypeLike
 from jaxtyping import Array
 
+# Early versions of JAX have it in another module.
+_MODULE: Any = jexc if hasattr(jexc, "get_opaque_trace_state") else jax.core
+_state = _MODULE.get_opaque_trace_state
 _F = TypeVar("_F", bound=Callable)
 _Tree = TypeVar("_Tree")
 
@@ -42,8 +45,8 @@ def is_outside() -> bool:
     [True, False]
     """
     with jax.core.eval_context():
-        outside = jexc.get_opaque_trace_state()
-    return jexc.get_opaque_trace_state() == outside
+        outside = _state()
+    return _state() == outside
 
 
 def without_derivatives(tree: Any) -> Any:

@@ -105,7 +105,7 @@ def _functions(system: System) -> dict[str, Callable[..., Any]]:
 
 def with_closed_numbers(system: System, x: Array) -> System:
     """The system of states like x, with the traced numbers that its functions close over as leaves;
-    the same one if there are none."""
+    the same one if they close over known numbers alone."""
     if is_outside():
         return system
     side = jnp.ones(check.shapes(system, x), x.dtype)
