@@ -104,8 +104,11 @@ def equations_of(
     family = kind if kind in ("fold", "hopf") else "boundary"
     more: list[np.ndarray] = []  # v, w and ω, between z and the parameters
     across, surface = np.zeros(size), 0
+    before, after = bifurcation.before, bifurcation.after
+    # On the part of a branch that was followed backward the equilibrium is in the mode after.
+    beyond = after if np.array_equal(before, at.mode) else before
     if family == "boundary":
-        changed = np.not_equal(bifurcation.before, bifurcation.after)
+        changed = np.not_equal(before, after)
         surface = int(np.flatnonzero(changed)[0])
     elif family == "fold":
         across = np.linalg.svd(jacobian)[2][-1]
@@ -121,7 +124,7 @@ def equations_of(
     values = [np.array([float(get_parameter(at.system, name)) for name in free])]
     equations = BifurcationEquations(
         balance=balance,
-        after=array_of(np.asarray(bifurcation.after, dtype), dtype),
+        after=array_of(np.asarray(beyond, dtype), dtype),
         across=array_of(across, dtype),
         free=free,
         family=family,

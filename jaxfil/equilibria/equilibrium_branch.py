@@ -35,7 +35,7 @@ class EquilibriumBifurcation(eqx.Module):
     value: float
     """The parameter there, located to about 1e-12 of the size of the unknowns."""
     equilibrium: Equilibrium
-    """The equilibrium there, in the mode before."""
+    """The equilibrium there, in one of the two modes."""
     index: int = eqx.field(static=True)
     """It lies between the equilibria number `index` − 1 and `index` of the branch, or is the
     latter. A boundary equilibrium belongs to the branch, in the mode after."""

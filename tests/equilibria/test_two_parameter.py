@@ -62,6 +62,16 @@ def test_a_curve_over_a_continuous_boundary_changes_its_kind():
     assert curve.kinds == tuple(expected.tolist())
 
 
+def test_the_kind_is_independent_of_the_direction_of_the_branch():
+    """The same two modes, in the other order on a branch that is followed both ways."""
+    system = Boundary(0.8, -1.0)
+    point = the_point(system, "mu", jnp.array([0.1, 0.6]), (-0.5, 1.5))
+    assert point.kind == "nonsmooth-fold"
+    curve = jf.continue_equilibrium_bifurcation(system, ("g", "mu"), point, stop=1.0)
+    expected = np.where(curve.values[:, 0] > 0, "persistence", "nonsmooth-fold")
+    assert curve.kinds == tuple(expected.tolist())
+
+
 @pytest.mark.release
 def test_a_curve_of_rests_on_a_curved_wall():
     system = Hill(0.5, 1.0, 1.0)
