@@ -1,6 +1,7 @@
 """Basins of attraction over a grid of initial states."""
 
 import dataclasses
+import functools as ft
 from collections.abc import Sequence
 from typing import Any
 
@@ -27,7 +28,7 @@ from jaxfil.model.parameter import parameters
 from jaxfil.model.system import System
 from jaxfil.model.types import Axes, Dataset, PathLike, State
 from jaxfil.sweep.conditions import CONDITIONS, Conditions, condition_entries
-from jaxfil.sweep.diagram import BifurcationDiagram, same_state
+from jaxfil.sweep.diagram import BifurcationDiagram, periods_of, same_state
 from jaxfil.sweep.sweep import bifurcation_diagram
 
 # Names of its data set that are not parameters.
@@ -152,11 +153,12 @@ def basins_of_attraction(
     Each state runs `transient` forcing periods T from t = 0, then `samples` more. A motion has the
     period m if
 
-        |x(t + mT) − x(t)| ≤ tolerance · max |x|
+        |x(t + mT) − x(t)| ≤ tolerance · min(max |x|, R)
 
-    in every component. Below eps times the largest initial state of the grid it has decayed to rest
-    at zero, of period 1. Motions of one period are one attractor if one passes, at the phase of the
-    section, near a point of the other.
+    in every component, with its range R over all initial states and samples, which is smaller than
+    |x| for an offset with a small variation, such as a temperature in kelvin. Below eps times the
+    largest initial state of the grid it has decayed to rest at zero, of period 1. Motions of one
+    period are one attractor if one passes, at the phase of the section, near a point of the other.
 
     **Arguments**
 
@@ -169,7 +171,8 @@ def basins_of_attraction(
       transients are long.
     - `samples`: number of sampled forcing periods, or crossings; the longest detectable period is
       half of it.
-    - `tolerance`: the largest distance of a motion from its earlier state, relative to its size.
+    - `tolerance`: the largest distance of a motion from its earlier state, relative to its size or
+      its range R.
     - `options`: `steps`, `stepper`, `progress`, `checkpoint`, `compact`, `section` and `max_return`
       of `bifurcation_diagram`.
 
@@ -227,7 +230,7 @@ def basins_of_attraction(
         samples=samples,
         **options,
     )
-    labels, attractors = _classified(diagram, tolerance)
+    labels, attractors = _classified(diagram, tolerance, _ranges(diagram, states))
     shape = states.shape[:2]
     return Basins(
         axes=(values[0], values[1]),
@@ -274,11 +277,20 @@ def _components(components: Any, n: int) -> tuple[int, int]:
     return pair
 
 
+def _ranges(diagram: BifurcationDiagram, states: np.ndarray) -> np.ndarray:
+    """The range of each component, over initial states and samples."""
+    n = states.shape[-1]
+    every = np.concatenate([states.reshape(-1, n), diagram.xs.reshape(-1, n)])
+    return np.nanmax(every, axis=0) - np.nanmin(every, axis=0)
+
+
 def _classified(
-    diagram: BifurcationDiagram, tolerance: float
+    diagram: BifurcationDiagram, tolerance: float, ranges: np.ndarray
 ) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
     """The label of every lane, and the section points of every attractor."""
-    periods = diagram.periods(tolerance)  # 0 and −1 have the meaning of these labels
+    equal = ft.partial(same_state, tolerance=tolerance, least=diagram.decayed, spread=ranges)
+    found = periods_of(diagram.xs, equal(diagram.xs))
+    periods = np.where(diagram.successful, found, FAILED)
     # Short periods first; each attractor claims all lanes that pass near it, in one pass over the
     # lanes per attractor, of which there are few.
     labels = np.where(periods > 0, APERIODIC, periods)
@@ -288,7 +300,7 @@ def _classified(
         while left.size:
             points = diagram.xs[left[0], -period:]  # after the longest transient
             # Ten times the largest distance at which two lanes of one motion repeat.
-            near = 10 * same_state(points, tolerance, diagram.decayed)
+            near = 10 * equal(points)
             away = np.abs(diagram.xs[left, -1][:, None] - points)
             same = np.any(np.all(away <= near, axis=-1), axis=-1)
             attractors.append(points)

@@ -32,12 +32,27 @@ TAKEN |= {"averages", "quantity", "quantities"}
 TAKEN |= {"swept", "symbols", "halvings"} | CONDITIONS
 
 
-def same_state(xs: np.ndarray, tolerance: float, least: float) -> np.ndarray:
+def same_state(
+    xs: np.ndarray, tolerance: float, least: float, spread: np.ndarray | float = np.inf
+) -> np.ndarray:
     """The largest distance of equal states of a motion, (…, k, n), per component, (…, n). A motion
-    smaller than `least` has decayed."""
-    size = np.maximum(np.max(np.abs(xs), axis=-2), least)
-    largest = np.max(size, axis=-1, keepdims=True)
-    return np.maximum(tolerance * size, SAME_STATE * np.finfo(xs.dtype).eps * largest)
+    smaller than `least` has decayed. It is relative to the `spread` of components, (n,), where that
+    is smaller than they are."""
+    size = np.max(np.abs(xs), axis=-2)
+    largest = np.maximum(np.max(size, axis=-1, keepdims=True), least)
+    rounding = SAME_STATE * np.finfo(xs.dtype).eps * largest
+    return np.maximum(tolerance * np.maximum(np.minimum(size, spread), least), rounding)
+
+
+def periods_of(xs: np.ndarray, bound: np.ndarray) -> np.ndarray:
+    """The number of samples (…, k, n) after which each motion is within the distances (…, n) of
+    where it was; 0 where there is none up to k/2."""
+    # The shortest period that fits is chosen, because its multiples fit too.
+    found = np.zeros(xs.shape[:-2], int)
+    for m in range(1, xs.shape[-2] // 2 + 1):
+        apart = np.max(np.abs(xs[..., m:, :] - xs[..., :-m, :]), axis=-2)
+        found[(found == 0) & np.all(apart <= bound, axis=-1)] = m
+    return found
 
 
 class BifurcationDiagram(eqx.Module):
@@ -107,14 +122,9 @@ class BifurcationDiagram(eqx.Module):
         zero, of period 1.
         """
         # Relative to the largest |x| of the lane instead of its spread, which is zero for a motion
-        # of period one. The shortest period that fits is chosen, because its multiples fit too.
-        xs = self.xs
-        bound = same_state(xs, tolerance, self.decayed)
-        found = np.where(self.successful, 0, -1)
-        for m in range(1, xs.shape[-2] // 2 + 1):
-            apart = np.max(np.abs(xs[..., m:, :] - xs[..., :-m, :]), axis=-2)
-            found[(found == 0) & np.all(apart <= bound, axis=-1)] = m
-        return found
+        # of period one.
+        found = periods_of(self.xs, same_state(self.xs, tolerance, self.decayed))
+        return np.where(self.successful, found, -1)
 
     @property
     def decayed(self) -> float:

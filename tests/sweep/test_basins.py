@@ -130,3 +130,32 @@ def test_rest_at_the_origin_is_an_attractor_of_period_one(size):
     assert abs(small.xs[1]).max() > 1e-7 * size
     moving = dataclasses.replace(small, xs=small.xs * jnp.array([1.0, -1.0, 1.0, -1.0])[:, None])
     assert moving.periods().tolist() == [1, 2]
+
+
+class Heater(jf.System):
+    """T' = 0.1 sgn(T − a) − (T − a), y' = −y: it comes to rest at T = a ± 0.1, or alternates."""
+
+    ambient: jax.Array
+    ripple: jax.Array
+    period = 1.0
+
+    def vector_field(self, t, x, side):
+        wave = self.ripple * jnp.pi * jnp.cos(jnp.pi * t)
+        return jnp.stack([0.1 * side - (x[0] - self.ambient) + wave, -x[1]])
+
+    def switching(self, t, x):
+        return x[0] - self.ambient
+
+
+@pytest.mark.parametrize("ambient", [0.0, 300.0])
+def test_an_offset_does_not_unite_attractors(ambient):
+    """A tolerance relative to 300 K would take the two for one, and a period of 2 for 1."""
+    axes = ambient + np.linspace(-0.5, 0.5, 8), [-1.0, 1.0]
+    for ripple in (0.0, 1e-3):
+        heater = Heater(jnp.array(ambient), jnp.array(ripple))
+        options = dict(transient=40, samples=8, steps=8, progress=False)
+        found = jf.basins_of_attraction(heater, axes, **options)
+        assert [len(points) for points in found.attractors] == 2 * [1 if ripple == 0 else 2]
+        low, high = (float(np.mean(points[:, 0])) - ambient for points in found.attractors)
+        assert_allclose([low, high], [-0.1, 0.1], rtol=0, atol=2e-3)
+        assert_array_equal(found.labels, np.repeat([1, 2], 4)[:, None] * [1, 1])
