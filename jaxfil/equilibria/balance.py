@@ -71,11 +71,11 @@ class Balance(eqx.Module):
 
     def derivative(self, z: Float[Array, " N"]) -> Float[Array, "N N"]:
         """The derivative of the equations. A component that only events change, as a latch, is in
-        balance at any value, and the equation that it keeps its own is added."""
+        balance at any value, and an equation is added by which it has the value of the guess."""
         jacobian = jax.jacfwd(self.residual)(z)
-        return jacobian + self.kept(jacobian, self.split(z)[0])
+        return jacobian + self.constants(jacobian, self.split(z)[0])
 
-    def kept(self, jacobian: Array, x: Array) -> Array:
+    def constants(self, jacobian: Array, x: Array) -> Array:
         """The diagonal matrix of ones for components that only events change."""
         found = np.flatnonzero(constants_of(self.system, x))
         constant = np.isin(np.arange(len(jacobian)), found)
@@ -181,7 +181,7 @@ class Linearised(eqx.Module):
     """The same, with its zeros across the surfaces shifted to `shift`."""
     shift: Float[Array, ""]
     """A number larger than all eigenvalues."""
-    kept: Float[Array, "n n"]
+    constants: Float[Array, "n n"]
     """The diagonal matrix of ones for components that only events change, as a latch."""
     approach: Approach
     """The motion across the sliding surfaces."""
@@ -221,7 +221,7 @@ def linearise(balance: Balance, z: Float[Array, " N"]) -> Linearised:
         jacobian=jacobian,
         deflated=jacobian + shift * projection,
         shift=shift,
-        kept=balance.kept(jacobian, x),
+        constants=balance.constants(jacobian, x),
         approach=Approach(
             slid=balance.slid,
             response=select(both, response, -jnp.eye(off.shape[0], dtype=z.dtype)),

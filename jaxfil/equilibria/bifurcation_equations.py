@@ -32,6 +32,10 @@ class BifurcationEquations(eqx.Module):
     across: Float[Array, " N"]
     """c, which sets the length of a null vector, and the phase of a complex one; zero at a
     boundary."""
+    constants: Float[Array, "N N"]
+    """The diagonal matrix of ones for components that only events change, as a latch."""
+    start: Float[Array, " N"]
+    """The unknowns z at the given bifurcation, where such components have their values."""
     free: tuple[str, str] = eqx.field(static=True)
     """The names of the two parameters."""
     family: str = eqx.field(static=True)
@@ -48,15 +52,20 @@ class BifurcationEquations(eqx.Module):
     def residual(self, u: Array) -> Array:
         """All equations."""
         balance, z = self.at(u)
-        r, c, size = balance.residual(z), self.across, self.across.shape[0]
+        c, size = self.across, self.across.shape[0]
+
+        def balanced(z: Array) -> Array:
+            return balance.residual(z) + self.constants @ (z - self.start)
+
+        r = balanced(z)
         if self.family == "boundary":
             return jnp.append(r, balance.margins(z)[self.surface])
         v = u[size : 2 * size]
-        jv = jax.jvp(balance.residual, (z,), (v,))[1]
+        jv = jax.jvp(balanced, (z,), (v,))[1]
         if self.family == "fold":
             return jnp.concatenate([r, jv, jnp.stack([c @ v - 1])])
         w, omega = u[2 * size : 3 * size], u[3 * size]
-        jw = jax.jvp(balance.residual, (z,), (w,))[1]
+        jw = jax.jvp(balanced, (z,), (w,))[1]
         diagonal = jnp.asarray(np.arange(size) < size - balance.mode.shape[0], u.dtype)  # of E
         real, imaginary = jv + omega * diagonal * w, jw - omega * diagonal * v
         return jnp.concatenate([r, real, imaginary, jnp.stack([c @ v - 1, c @ w])])
@@ -68,7 +77,7 @@ class BifurcationEquations(eqx.Module):
         balance, z = self.at(u)
         beside = Balance(balance.system, self.after, balance.affine)
         others = balance.unknowns_in(self.after, z)
-        both = [jax.jacfwd(b.residual)(v) for b, v in ((balance, z), (beside, others))]
+        both = [b.derivative(v) for b, v in ((balance, z), (beside, others))]
         # Rows are scaled by their sizes, because only the sign matters.
         sizes = [jnp.max(abs(v), axis=1, keepdims=True) for v in both]
         determinants = [
@@ -80,8 +89,11 @@ class BifurcationEquations(eqx.Module):
 
 
 @eqx.filter_jit
-def _jacobian(balance: Balance, z: Array) -> Array:
-    return jax.jacfwd(balance.residual)(z)
+def _jacobian(balance: Balance, z: Array) -> tuple[Array, Array]:
+    """The derivative of the balance, and the part of it for constant components."""
+    jacobian = jax.jacfwd(balance.residual)(z)
+    constants = balance.constants(jacobian, balance.split(z)[0])
+    return jacobian + constants, constants
 
 
 def _frequency(at: Equilibrium) -> float:
@@ -99,7 +111,7 @@ def equations_of(
     dtype = at.x.dtype
     balance = Balance(at.system, at.mode.astype(dtype), at._affine)
     z = np.concatenate([np.asarray(at.x), np.asarray(at.multipliers)])
-    jacobian = np.asarray(_jacobian(balance, array_of(z)))
+    jacobian, constants = map(np.asarray, _jacobian(balance, array_of(z)))
     n, size = at.x.size, z.size
     family = kind if kind in ("fold", "hopf") else "boundary"
     more: list[np.ndarray] = []  # v, w and ω, between z and the parameters
@@ -126,6 +138,8 @@ def equations_of(
         balance=balance,
         after=array_of(np.asarray(beyond, dtype), dtype),
         across=array_of(across, dtype),
+        constants=array_of(constants, dtype),
+        start=array_of(z, dtype),
         free=free,
         family=family,
         surface=surface,

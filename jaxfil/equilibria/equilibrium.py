@@ -133,8 +133,8 @@ def _eigenvalues(at: Equilibrium) -> Array:
 @eqx.filter_jit
 def _attracts(at: Equilibrium) -> Array:
     flow = linearise(*_balance(at))
-    # With a decay of each component that would keep its value.
-    decays = dataclasses.replace(flow, deflated=flow.deflated - flow.kept)
+    # With a decay of each component that would be constant.
+    decays = dataclasses.replace(flow, deflated=flow.deflated - flow.constants)
     return jnp.all(jnp.real(eigenvalues_of(decays)) < 0)
 
 

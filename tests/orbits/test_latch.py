@@ -145,3 +145,23 @@ def test_an_equilibrium_keeps_its_program():
     branch = jf.continue_equilibrium(weak, "high", jf.equilibrium(weak, guess), stop=0.8)
     assert_allclose(branch.equilibria.x[-1], [0.8, 1, 0], rtol=0, atol=1e-12)
     assert branch.equilibria.stable.all() and not branch.points
+
+
+class Kept(jf.System):
+    """x' = a + b x − x² + q, a fold at 4 (a + q) + b² = 0."""
+
+    a: jax.Array
+    b: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([self.a + self.b * x[0] - x[0] ** 2 + x[1], 0 * t])
+
+
+def test_a_curve_of_folds_keeps_its_program():
+    system, guess = Kept(jnp.array(1.0), jnp.array(2.0)), jnp.array([3.0, 0.5])
+    branch = jf.continue_equilibrium(system, "a", jf.equilibrium(system, guess), stop=-3.0)
+    (fold,) = branch.points
+    assert fold.kind == "fold"
+    curve = jf.continue_equilibrium_bifurcation(system, ("b", "a"), fold, stop=3.0)
+    assert_allclose(curve.values[-1], [3.0, -2.75], rtol=0, atol=1e-9)
+    assert_array_equal(curve.xs[:, 1], 0.5)
