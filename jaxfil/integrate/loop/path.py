@@ -18,6 +18,7 @@ from jaxfil.integrate.contacts.polynomial import first_zero, stays_positive
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import ContactSearch, LoopState
 from jaxfil.integrate.lane.step_length import Length
+from jaxfil.integrate.loop.tail import known_part
 from jaxfil.integrate.steppers.explicit import Trial, trial_of
 from jaxfil.integrate.steppers.taylor import TaylorTableau
 from jaxfil.integrate.surfaces.filippov import ModeField
@@ -42,7 +43,7 @@ def path_of(problem: Problem, state: LoopState, length: Length, field: ModeField
 
 def may_be_cut(problem: Problem) -> bool:
     """Whether steps may end on their polynomial."""
-    return problem.system.m > 0 or ends_at_kinks(problem)
+    return problem.system.m > 0 or problem.tableau.tolerance is not None or ends_at_kinks(problem)
 
 
 def ends_at_kinks(problem: Problem) -> bool:
@@ -129,9 +130,12 @@ def _cut_at_contact(
         near = near & (known > 0)
         thetas, looks = where(near, thetas, NEVER), where(near, looks, NEVER)
         contact, lowest = system.hold((least(thetas), least(looks)))
+    whole = waits | seeks | path.ends
     if path.kinks is not None:
         beyond = _beyond_kink(problem, state, length, path.kinks)
-        lowest = jnp.minimum(lowest, select(waits | seeks | path.ends, NEVER, beyond))
+        lowest = jnp.minimum(lowest, select(whole, NEVER, beyond))
+    if problem.tableau.tolerance is not None:
+        lowest = jnp.minimum(lowest, select(whole, NEVER, known_part(problem, path)))
     s = jnp.minimum(contact, lowest)
     # A cut shorter than the rounding of times is omitted; the search of every step handles it.
     h = s * length.h

@@ -43,18 +43,18 @@ class Taylor(eqx.Module):
     is decided at the start of the step, and on a kink of `max`, `abs`, `where`, or a jump of
     `sign`, `floor`, `%` and the like, by the motion just after it. With `Adaptive` a step ends at
     the first kink or jump inside it, of which the time has its derivatives, so that kinks do not
-    reduce the order. Without, the error shows a kink if it is estimated beyond it, by the defect of
-    the field at the end of the step, and not if a step passes it twice; only at kinks of
-    `switching` a step always ends. A root, a power that is not whole, a power by a parameter above
-    4 or a quotient (`jnp.sinc`) has no series where it is made of an exact zero that the motion
-    leaves, as `|v|` at rest. Such a run ends as `nonfinite`, and of a power by a parameter up to 4
-    the derivative by that parameter is NaN; `diffrax.Dopri8()` has both. With
-    `diffrax.RecursiveCheckpointAdjoint()` the gradient is NaN where the field of the other side is
-    NaN; `jax.grad` without `adjoint` has no such limit. Contacts are located on the polynomial,
-    without a second step. Sweeps of piecewise linear systems take 0.4 to 0.8 of the time that they
-    take with `diffrax.Dopri8()`, and fields with several products of states up to 1.6 times as
-    long. Steps in which a motion rests on a surface, or slides on surfaces whose weights depend on
-    each other, use `diffrax.Dopri8()`.
+    reduce the order, and where the tail of the series has grown to the tolerance. Without, the
+    error shows a kink if it is estimated beyond it, by the defect of the field at the end of the
+    step, and not if a step passes it twice; only at kinks of `switching` a step always ends. A
+    root, a power that is not whole, a power by a parameter above 4 or a quotient (`jnp.sinc`) has
+    no series where it is made of an exact zero that the motion leaves, as `|v|` at rest. Such a run
+    ends as `nonfinite`, and of a power by a parameter up to 4 the derivative by that parameter is
+    NaN; `diffrax.Dopri8()` has both. With `diffrax.RecursiveCheckpointAdjoint()` the gradient is
+    NaN where the field of the other side is NaN; `jax.grad` without `adjoint` has no such limit.
+    Contacts are located on the polynomial, without a second step. Sweeps of piecewise linear
+    systems take 0.4 to 0.8 of the time that they take with `diffrax.Dopri8()`, and fields with
+    several products of states up to 1.6 times as long. Steps in which a motion rests on a surface,
+    or slides on surfaces whose weights depend on each other, use `diffrax.Dopri8()`.
 
     **Errors**: a `ValueError` for an order out of range, and one that names an operation of the
     field without a power series, for example a `jax.lax.while_loop`, or where steps end at kinks

@@ -122,6 +122,30 @@ def test_a_relative_tolerance_alone_lets_a_mass_stick(name):
     assert_allclose(found, np.stack([exact, 0 * exact], axis=1), rtol=0, atol=1e-7)
 
 
+class Pulse(jf.System):
+    """A push at t = 60, which is below 1e-200 some 21 widths before it."""
+
+    width: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], jnp.exp(-(((t - 60.0) / self.width) ** 2))])
+
+
+def test_a_pulse_inside_of_a_long_step_is_seen_from_far_before_it():
+    widths = np.array([1.0, 2.0, 5.0])
+
+    @jax.vmap
+    def end(width):
+        step = jf.Adaptive(1e-8, 1e-10)
+        sol = jf.solve(Pulse(width), jnp.zeros(2), 0.0, 120.0, step, stepper=jf.Taylor())
+        return sol.x_final, sol.stats["num_steps"]
+
+    found, steps = end(widths)
+    speeds = np.sqrt(np.pi) * widths
+    assert_allclose(found, np.stack([60 * speeds, speeds], axis=1), rtol=1e-7)
+    assert np.all(steps < 80)
+
+
 @pytest.mark.parametrize("name", ["Dopri8", pytest.param("Taylor", marks=pytest.mark.release)])
 def test_a_force_is_followed_while_it_holds_a_mass(name):
     # The mass sticks all the time, and the friction is the load a cos t.
