@@ -74,7 +74,8 @@ from .model.section import (
     maxima as maxima,
     minima as minima,
 )
-from .model.system import System as System, piecewise as piecewise, smoothed as smoothed
+from .model.smoothed import smoothed as smoothed
+from .model.system import System as System, piecewise as piecewise
 from .orbits.branch import Branch as Branch, SpecialPoint as SpecialPoint
 from .orbits.continue_orbit import continue_orbit as continue_orbit
 from .orbits.fourier import FourierOrbit as FourierOrbit

@@ -4,22 +4,17 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxfil.model import check
-from jaxfil.model.clock import Clocks
 from jaxfil.model.system import System, field_of
 from jaxfil.model.types import Scalar
+from jaxfil.model.wrapped import Wrapped
 from jaxfil.xla.select import select
 
 
-class _DriveResponse(System):
+class _DriveResponse(Wrapped):
     """A drive x and a response y, z = (x, y), each (n,). Surfaces 0 to m − 1 belong to the drive, m
     to 2m − 1 to the response."""
 
-    system: System
     coupling: Array
-
-    @property
-    def slides(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.system.slides
 
     def vector_field(self, t: Array, x: Array, side: Array, reaction: Array | None = None) -> Array:
         drive, response = jnp.split(x, 2)
@@ -33,10 +28,6 @@ class _DriveResponse(System):
         first = field_of(self.system, t, drive, sides[0], forces[0])
         second = field_of(self.system, t, response, sides[1], forces[1])
         return jnp.concatenate([first, second + pull])
-
-    @property
-    def feels_reactions(self) -> bool:
-        return self.system.feels_reactions
 
     def switching(self, t: Array, x: Array) -> Array:
         return jnp.concatenate(
@@ -54,24 +45,8 @@ class _DriveResponse(System):
             jnp.concatenate([drive, self.system.reset(t, response, own)]),
         )
 
-    @property
-    def resets(self) -> bool:
-        return self.system.resets
-
     def tick(self, t: Array, x: Array, clock: Array) -> Array:
         return jnp.concatenate([self.system.tick(t, half, clock) for half in jnp.split(x, 2)])
-
-    @property
-    def ticks(self) -> bool:
-        return self.system.ticks
-
-    @property
-    def period(self) -> Array | float | None:
-        return self.system.period
-
-    @property
-    def clocks(self) -> Clocks:
-        return self.system.clocks
 
 
 def drive_response(system: System, coupling: Scalar) -> System:

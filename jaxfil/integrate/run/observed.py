@@ -24,11 +24,11 @@ from jaxfil.integrate.surfaces.sections import WatchedSections, watch_sections
 from jaxfil.integrate.system.components import pack
 from jaxfil.integrate.system.lowered import ComponentSystem, build
 from jaxfil.model import check
-from jaxfil.model.clock import Clocks
 from jaxfil.model.observe import Observe, asked_of, value_of
 from jaxfil.model.parameter import cast
 from jaxfil.model.section import Section
 from jaxfil.model.system import System, field_of
+from jaxfil.model.wrapped import Wrapped
 from jaxfil.xla.select import select, select_all
 from jaxfil.xla.valid_derivative import only_if_valid
 
@@ -71,10 +71,9 @@ class OfState(eqx.Module):
         return inspect.signature(self.function)
 
 
-class _WithRate(System):
+class _WithRate(Wrapped):
     """A system with more components behind its state, which do not affect surfaces or resets."""
 
-    system: System
     function: Observe
     n: int = eqx.field(static=True)
     squares: int = eqx.field(static=True, default=0)
@@ -114,34 +113,14 @@ class _WithRate(System):
     def switching(self, t: Array, x: Array) -> Array:
         return self.system.switching(t, x[: self.n])
 
-    @property
-    def slides(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.system.slides
-
     def reset(self, t: Array, x: Array, surface: Array) -> Array:
         after = self.system.reset(t, x[: self.n], surface)
         # The extra components are integrals over time, which do not jump with the state.
         return jnp.concatenate([after, x[self.n :]])
 
-    @property
-    def resets(self) -> bool:
-        return self.system.resets
-
     def tick(self, t: Array, x: Array, clock: Array) -> Array:
         after = self.system.tick(t, x[: self.n], clock)
         return jnp.concatenate([after, x[self.n :]])
-
-    @property
-    def ticks(self) -> bool:
-        return self.system.ticks
-
-    @property
-    def period(self) -> Array | float | None:
-        return self.system.period
-
-    @property
-    def clocks(self) -> Clocks:
-        return self.system.clocks
 
 
 def with_rate(
