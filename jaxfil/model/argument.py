@@ -147,7 +147,15 @@ def leaf(name: str, value: Any, *, positive: bool = False) -> Any:
     if array is None or array.size == 0 or not sound:
         must = "positive" if positive else "a number"
         raise ValueError(f"`{name}` must be {must} and finite, got {told(value)}.")
-    return array
+    return parameter(value)
+
+
+def parameter(value: Any) -> Any:
+    """A number, or an array of numbers, as a parameter, which integers are not."""
+    if isinstance(value, (int, np.integer)):
+        return array_of(float(value))
+    array = array_of(value)
+    return array.astype(float) if jnp.issubdtype(array.dtype, jnp.integer) else array
 
 
 def numbers(name: str, value: Any, dtype: DTypeLike, must: str) -> Array:

@@ -7,9 +7,9 @@ import jax
 import jax.core
 import numpy as np
 
+from jaxfil.model.argument import parameter
 from jaxfil.model.fields import is_no_number
 from jaxfil.model.types import Scalar
-from jaxfil.xla.known import array_of
 
 
 def default(value: float) -> Any:
@@ -20,7 +20,7 @@ def default(value: float) -> Any:
 def _array(value: Any) -> Any:
     """The parameter as an array. Other values are returned unchanged; the system refuses them by
     name, which is unknown here."""
-    return value if is_no_number(value) else array_of(value)
+    return value if is_no_number(value) else parameter(value)
 
 
 def check_restitution(system: Any) -> None:
@@ -40,4 +40,4 @@ def none_if_zero(value: Scalar | None) -> Any:
     # A traced zero stays a parameter, because its value at run time cannot choose a program.
     known = not isinstance(value, jax.core.Tracer)
     zero = known and np.all(np.asarray(value) == 0)
-    return None if zero else array_of(value)
+    return None if zero else parameter(value)

@@ -174,3 +174,14 @@ def test_a_field_by_which_programs_cannot_be_told_apart_is_refused_by_name():
     frozen = dataclasses.make_dataclass("Frozen", [("rate", float)], frozen=True)
     end = jf.solve(Decay(frozen(2.0)), jnp.ones(1), 0.0, 1.0, 0.05).x_final[0]
     np.testing.assert_allclose(end, np.exp(-2), rtol=1e-10)
+
+
+def test_a_whole_number_is_a_parameter_of_a_system_of_the_library():
+    """Of its textbook systems, of a drive and its response, and of a smoothed one."""
+    coulomb = jf.systems.CoulombOscillator(friction=1)
+    many = jf.systems.CoulombOscillator(friction=np.array([1, 2]))
+    pair, smooth = jf.drive_response(coulomb, 1), jf.smoothed(coulomb, 2)
+    for number in (coulomb.friction, many.friction, pair.coupling, smooth.width):
+        assert jnp.issubdtype(number.dtype, jnp.floating)
+    slope = jax.grad(lambda pair: pair.coupling * pair.system.friction)(pair)
+    assert (slope.coupling, slope.system.friction) == (1.0, 1.0)
