@@ -99,7 +99,7 @@ class Edge(jf.System):
         return jnp.where(surface == 0, bounced, jnp.where(surface == 1, x.at[4].set(1.0), x))
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_a_block_falls_over_the_edge_of_its_table():
     """x = 2t − μg t²/2 up to the edge, and a parabola after it."""
 
