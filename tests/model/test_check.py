@@ -112,6 +112,7 @@ COMPILED = (
     "`vector_field` of Custom must use jnp functions, since it is compiled, and t, x, side have no "
     "values before it runs; got "
 )
+PAIR = jf.drive_response(FORCED, 1.0)
 LEAVES = (
     "`parameter` must be a parameter of _DriveResponse, one of system.f0, system.zeta, system.omega"
 )
@@ -494,7 +495,7 @@ CALLS = {
         "CoulombOscillator",
     ),
     "diagram of an integer": (
-        lambda: diagram(jf.drive_response(FORCED, 1), "coupling"),
+        lambda: diagram(eqx.tree_at(lambda s: s.coupling, PAIR, jnp.asarray(1)), "coupling"),
         LEAVES,
         "no float",
     ),
