@@ -5,10 +5,12 @@ with the contact that it aims at, the landing that waits for its switch, counts 
 `StepEnd` of a trial step holds the next. All are immutable and contain no decisions.
 """
 
+import functools as ft
 from typing import Any, TypeAlias
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
@@ -244,15 +246,13 @@ class StepEnd(eqx.Module):
     def between(self) -> Array | None:
         """Whether another switch follows at the same time; None if none can. The state is then one
         between two maps, and its mode is not decided yet."""
-        follows = self.again
+        follows = [v for v in (self.again, self.ticks) if v is not None]
         if self.next is not None:
             due = any_of(self.next)
             if self.jump is not None:  # time passes before the next switch
                 due = due & ~(self.jump > 0)
-            follows = due if follows is None else follows | due
-        if self.ticks is None:
-            return follows
-        return self.ticks if follows is None else self.ticks | follows
+            follows = [due, *follows]
+        return ft.reduce(jnp.logical_or, follows) if follows else None
 
 
 def tables_of(state: LoopState) -> list[Any]:

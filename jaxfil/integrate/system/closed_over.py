@@ -16,14 +16,14 @@ from jaxtyping import Array
 from jaxfil.model import check
 from jaxfil.model.clock import Clock, Clocks
 from jaxfil.model.system import System, field_of
+from jaxfil.model.wrapped import Wrapped
 from jaxfil.xla.known import is_known, is_outside
 from jaxfil.xla.program import operations, with_traced_values
 
 
-class _Opened(System):
+class _Opened(Wrapped):
     """A system whose functions have the traced numbers of their closures as leaves."""
 
-    system: System
     closed: dict[str, tuple[Array, ...]]
     """The numbers of each function that closes over any."""
     _programs: tuple[tuple[str, Any, Any], ...] = eqx.field(static=True)
@@ -61,22 +61,6 @@ class _Opened(System):
     @property
     def clocks(self) -> Clocks:
         return tuple(Clock(*pair) for pair in self._of("clocks"))
-
-    @property
-    def feels_reactions(self) -> bool:
-        return self.system.feels_reactions
-
-    @property
-    def resets(self) -> bool:
-        return self.system.resets
-
-    @property
-    def ticks(self) -> bool:
-        return self.system.ticks
-
-    @property
-    def slides(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.system.slides
 
     @property
     def state_names(self):  # pyright: ignore[reportIncompatibleVariableOverride]
