@@ -251,7 +251,8 @@ def _follow(
         consistent = ~any_of(limit & reverses & alive)
     more = any_of(owed)
     jump, kick = _chattering(problem, state, length, reset, seen, at, rests, more)
-    others = more & state.pending.surfaces & ~reset.heard & ~spared
+    # A surface that the motion leaves has no impact: a reset would throw it back through it.
+    others = more & state.pending.surfaces & ~reset.heard & ~spared & ~(parts & ~limit)
     upcoming = where(jump > 0, reset.acted, owed | others)
     return Impact(
         next=upcoming,
@@ -285,7 +286,8 @@ def _chattering(
     same = problem.same_time(state.motion.tau)
     # The neglected error is a part T ȧ/a of T.
     longest = jnp.maximum(same, system.eps**0.5 * typical_step(problem, state))
-    held = c.reaction.answered(seen.a, unilateral.multipliers(c.reaction.gains, seen.a, rests))
+    forces = unilateral.multipliers(c.reaction.gains, seen.a, rests)
+    held = c.reaction.answered(seen.a, forces)
     # The flights last 2ψ/(|a| (1 − e)) in all; `fall` is |a| (1 − e), with 1 − e = 2 − ∇ψ·d.
     away, fall = sides * c.rate, -sides * held * (2 - c.impulse.gains.diagonal())
     bounces = reset.acted & seen.effect.throws_back & (away > seen.noise) & (fall > 0) & ~more
@@ -310,6 +312,11 @@ def _chattering(
     stopped = found & (rests | ends)
     left = c.rate + total_time * held
     impulses = unilateral.multipliers(c.impulse.gains, left, stopped)
-    return total_time, c.impulse.directions.added(
-        state.motion.x.like(jnp.zeros_like(state.motion.tau)), impulses
-    )
+    kick = state.motion.x.like(jnp.zeros_like(state.motion.tau))
+    if system.m > 1:
+        # The field of the motion has the reactions of its mode alone, not yet those of surfaces
+        # that have just come to rest.
+        resting = unilateral.rests_of(state.motion.mode)
+        known = unilateral.multipliers(c.reaction.gains, seen.a, resting)
+        kick = c.reaction.directions.added(kick, total_time * (forces - known))
+    return total_time, c.impulse.directions.added(kick, impulses)

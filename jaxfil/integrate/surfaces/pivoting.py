@@ -5,6 +5,8 @@ and the reactions of all surfaces together (`xla.complementarity`). Its size is 
 surfaces, where combinations of modes are 3^m.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -23,6 +25,7 @@ from jaxfil.integrate.surfaces.unilateral import rests_of
 from jaxfil.integrate.system.components import Components, pack, where
 from jaxfil.xla.complementarity import is_monotone, residual_noise, solve_on_box
 from jaxfil.xla.select import select
+from jaxfil.xla.small_linear import solve
 
 
 class _Inequality(eqx.Module):
@@ -45,7 +48,7 @@ def by_pivoting(question: Question) -> tuple[Components, Array]:
     positive definite. Otherwise the search starts again from other sides, from the opposite of all
     and of each, until another motion is found."""
     posed = _inequality(question)
-    z, found = _solved(posed, jnp.ones_like(posed.q))
+    z, found = _with_few_reactions(question, posed)
     on, mode = pack(question.on, bool), pack(question.mode, posed.q.dtype)
     # The solution only says which surfaces slide or rest. The weights and reactions themselves are
     # computed from the mode.
@@ -64,7 +67,7 @@ def by_pivoting(question: Question) -> tuple[Components, Array]:
     stays = _goes_on(question, posed, z)
     if not question.slides:
         stays = stays | _is_held(question, z)
-    edge = balanced & sliding & ~stays
+    edge = balanced & sliding & ~stays & ~_pulls(posed, z)
     weight = select(both | holding | edge, 0.0, weight)
     chosen = select(on, select(posed.slid, weight, select(z > 0, 2 * mode, mode)), mode)
     # Backward in time a repelling slide may have started at any earlier time. A slide that goes on
@@ -124,6 +127,49 @@ def _solved(posed: _Inequality, signs: Array) -> tuple[Array, Array]:
     matrix = signs[:, None] * posed.matrix * signs[None, :]
     z, found = solve_on_box(signs * posed.q, matrix, low, high)
     return signs * z, found
+
+
+def _with_few_reactions(question: Question, posed: _Inequality) -> tuple[Array, Array]:
+    """A solution, and whether one was found, in which no surface bears a load that the slides can
+    bear. A mass that its friction can hold at a wall has many solutions, between those of the
+    friction alone and of the wall. In a mode that slides and rests there its weight and reaction
+    would be undetermined."""
+    number, plus = jnp.arange(len(posed.q), dtype=jnp.int32), jnp.ones_like(posed.q)
+    linked = jnp.any((posed.matrix != 0) & posed.slid[None, :], axis=1) & (posed.high == jnp.inf)
+
+    def goes_on(state: tuple) -> Array:
+        *_, k = state
+        return k < len(number)
+
+    def next_one(state: tuple) -> tuple:
+        z, found, without, k = state
+        # First with all surfaces, then without one more of those that have a reaction.
+        tried = without | (number == k)
+        high = select(tried, posed.low, posed.high)
+        other, ok = _solved(dataclasses.replace(posed, high=high), plus)
+        value, noise = posed.q + posed.matrix @ other, residual_noise(posed.q, posed.matrix, z, high)
+        apart = are_apart(_velocity_of(question, z), _velocity_of(question, other))
+        ok = ok & ((k < 0) | ~(apart | jnp.any(tried & (value < -noise))))
+        z, without = select(ok, other, z), select(ok, tried, without)
+        later = linked & (z > 0) & (number > k)
+        k = select(jnp.any(later), jnp.argmax(later).astype(k.dtype), len(number))
+        return z, found | ok, without, k
+
+    start = 0.0 * posed.q, jnp.zeros((), bool), jnp.zeros_like(posed.slid), jnp.int32(-1)
+    z, found, *_ = jax.lax.while_loop(goes_on, next_one, start)
+    return z, found
+
+
+def _pulls(posed: _Inequality, z: Array) -> Array:
+    """Slides at the end of their weight whose rates reactions hold, m flags, if one of these would
+    have to pull without their friction. A slide that reactions hold has the weight 0."""
+    rests = (posed.high == jnp.inf) & (z > 0)
+    # The change of the reactions by each weight, and of the rates by both.
+    change = solve(posed.matrix, posed.matrix, rests)
+    answer = jnp.diag(posed.matrix) - jnp.sum(posed.matrix * change.T, axis=1)
+    terms = abs(jnp.diag(posed.matrix)) + jnp.sum(abs(posed.matrix * change.T), axis=1)
+    held = posed.slid & (abs(z) >= 1) & (abs(answer) <= NOISE * jnp.finfo(z.dtype).eps * terms)
+    return held & jnp.any(rests & (z + change @ select(held, z, 0.0) <= 0))
 
 
 def _has_another(question: Question, posed: _Inequality, z: Array, wanted: Array) -> Array:

@@ -31,7 +31,7 @@ from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.integrate.system.rows import Rows
 
 # Residual of terms that cancel, in eps of their sizes.
-_CANCELLED = 8
+_CANCELLED = 64
 
 
 class Forces(eqx.Module):
