@@ -301,9 +301,24 @@ def _chattering(
     # bounces would show, and the field moves the state only as far as it is constant to rounding.
     # Only one surface has been reset.
     time = total(where(ends, minimum(times, _LEAP * longest), 0.0))
-    # The chattering is not completed if another surface would be reached in that time.
-    ahead = sides * (at.h + time * (c.rate + 0.5 * time * held))
-    found = any_of(ends) & ~any_of(~((ahead >= -at.gathered) | rests | ends))
+
+    slid = state.motion.mode == 0
+
+    def is_clear(time: Array) -> Array:
+        ahead = sides * (at.h + time * (c.rate + 0.5 * time * held))
+        # A slide stays on its surface, unless the reset has moved the state off it, to either side.
+        left = where(abs(at.h) > at.gathered, abs(at.h) - time * abs(c.rate), 0.0)
+        ahead = where(slid, left, ahead)
+        return ~any_of(~((ahead >= -at.gathered) | rests | ends))
+
+    # The chattering is not completed if another surface would be reached in that time, as by a
+    # friction that sticks again in each flight. Where H cannot resolve the flights, the impulse of
+    # all impacts is applied at once, which leaves the same velocities once the other is reached.
+    once = total(where(ends & low, minimum(times, same), 0.0))
+    clear = is_clear(time)
+    time = select(clear, time, once)
+    found = any_of(ends) & (clear | ((once > 0) & is_clear(once)))
+
     # The limit may be past a grid point by its rounding, which must not become a step back from
     # the wall in the motion after it.
     total_time = select(found, time - length.beyond(time), 0.0)

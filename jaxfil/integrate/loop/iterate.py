@@ -181,10 +181,12 @@ def _carried_out(
     if end.next is not None:
         more = switched & any_of(end.next)
         waits, surfaces = waits | more, where(switched, end.next, surfaces)
-        # The flag of a jump stays set until all switches that follow from it are done.
+        # The flag of a jump stays set until all switches that follow from it are done. A surface
+        # that a reset has moved the state off is left, also after a chattering.
+        across = across | (more & end.off)
         if end.jump is not None:  # time has passed, at the end of chattering or of turns
             more = more & ~(end.jump > 0)
-        jumped, across = jumped | (more & (before.jumped | end.moved)), across | (more & end.off)
+        jumped = jumped | (more & (before.jumped | end.moved))
     if end.jump is not None:
         h = h + select(switched, end.jump, 0.0)
         # The switch at a limit of chattering or of turns applies no reset, and only chooses a mode.
