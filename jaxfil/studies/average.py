@@ -110,17 +110,22 @@ def average(
     observable = checked_observable("function", function, system, x)
     wider, start = with_rate(system, observable, x)
     since, until = check.scalar("t0", t0, x.dtype), check.scalar("t1", t1, x.dtype)
-    same = without_derivatives(until) == without_derivatives(since)
+    # Under `jax.jit` an array made of a known time is traced, while `solve` counts steps by it.
+    end, times = t1, [check.concrete(t) for t in (t0, t1)]
+    if all(t is not None for t in times):
+        same = np.diff(np.asarray(times, x.dtype)) == 0
+    else:
+        same = without_derivatives(until) == without_derivatives(since)
     if not is_known(same):
         # A traced time that is invalid has an outcome, as in `solve`.
-        until = select(same, jnp.nan, until)
+        end = select(same, jnp.nan, until)
     elif same:
         raise ValueError(f"`t1` must differ from `t0`, since a mean is over a time, got {t1}.")
     sol = solve(
         wider,
         start,
-        since,
-        until,
+        t0,
+        end,
         dt,
         stepper=stepper,
         max_events=None,

@@ -57,10 +57,10 @@ def test_a_forcing_of_arrays_is_found_once_for_all_stages():
     )
     for one, other in zip(compact(x0), written(x0), strict=True):
         assert_allclose(one, other, rtol=1e-12, atol=1e-12)
-    # By sines that vectorise. What is left looks closer at a step of which the error is suspect: at
-    # the field in its middle, and at its derivatives there.
+    # By sines that vectorise. What is left is in branches: the field in the middle of a step whose
+    # error is suspect, and d²H/dt² at a contact, now and a moment later. The 13 stages have none.
     sines = hlo.per_turn(text(lambda x: end(x, True), x0), 1, {"cosine", "sine"})
-    assert sines <= 3 * x0.size
+    assert sines <= 7 * x0.size
 
 
 @pytest.mark.release
