@@ -217,10 +217,21 @@ def _continues(
         turned = where(still, sides == where(question.mode < 0, -1.0, 1.0), turned)
         leaves = where(flat & ~governed, turned & question.leaves, leaves)
         solved = solved | (flat & held_too)
+    if rests is not None and question.kept is not None and question.now is not None:
+        # A slide that has ended at its side, at this time, does not begin again there; if a wall
+        # bears the load from then on, the motion stays on that side.
+        ended = question.kept & question.leaves & (abs(question.now) == 1)
+        borne = flat & ~is_governed(sides, rates, w, small) & any_of(rests)
+        leaves = leaves | (ended & borne & (sides == question.now))
+        if following is not None:
+            bend, noise = _bend(question, following, force, sides, w)
+            again = (sides == 0) & (w * question.now > 1 - NOISE * eps)
+            solved = solved & ~(ended & again & (question.now * bend > noise))
     ok = ok & ~any_of(slid & ~where(sides == 0, solved, leaves))
     mode = sides
     if rests is not None and accelerations is not None and force is not None and forces is not None:
-        fine, pushes = _rests(question, rests, accelerations.blend(sides, w), force.blend(sides, w))
+        ended = rounded & (abs(sides) == 1) & ~rests
+        fine, pushes = _rests(question, rests, accelerations, force, sides, w, ended)
         mode = where(rests, 2 * sides, sides)
         if question.kept is not None and question.now is not None:
             lenient = lenient | (question.kept & (mode == question.now))
@@ -296,16 +307,31 @@ def _velocity(
 
 
 def _rests(
-    question: Question, rests: Components, a: Components, force: Components
+    question: Question,
+    rests: Components,
+    accelerations: Corners,
+    force: Corners,
+    sides: Components,
+    w: Components,
+    ended: Components,
 ) -> tuple[Components, Components]:
     """Whether reactions push away from resting surfaces and accelerations lead away from others,
-    exactly, and to within rounding."""
+    exactly, and to within rounding.
+
+    A wall that a friction has kept the motion off has a reaction and an acceleration of zero where
+    the slide has just `ended` at its side. They grow from zero as if the friction became smaller.
+    """
     assert question.forces is not None
-    sides, eps = question.mode, jnp.finfo(question.direction.dtype).eps
+    away, eps = question.mode, jnp.finfo(question.direction.dtype).eps
     known = question.forces.accelerations
-    noise = NOISE * eps * (known.sizes() + question.forces.sizes(force))
-    fine = where(rests, sides * force > 0, sides * a >= 0)
+    halfway = where(ended, 0.0, sides), where(ended, 0.0, w)
+    a, pushes = accelerations.blend(sides, w), force.blend(sides, w)
+    noise = NOISE * eps * (known.sizes() + question.forces.sizes(pushes))
     own = question.forces.response.gains.diagonal()
     # λ times its own gain is an acceleration, as the noise is.
-    small = where(rests, abs(force * own) <= noise, abs(a) <= noise)
-    return fine, fine | small
+    small = where(rests, abs(pushes * own) <= noise, abs(a) <= noise)
+    grows = where(rests, force.blend(*halfway) - pushes, accelerations.blend(*halfway) - a)
+    grows = where(any_of(ended) & small & (abs(grows) > noise), away * grows, 0.0)
+    fine = where(rests, away * pushes > 0, away * a >= 0)
+    fine = where(grows == 0, fine, grows > 0)
+    return fine, fine | (small & (grows == 0))

@@ -69,7 +69,8 @@ def by_pivoting(question: Question) -> tuple[Components, Array]:
         stays = stays | _is_held(question, z)
     edge = balanced & sliding & ~stays & ~_pulls(posed, z)
     weight = select(both | holding | edge, 0.0, weight)
-    chosen = select(on, select(posed.slid, weight, select(z > 0, 2 * mode, mode)), mode)
+    rests = (z > 0) | _takes_over(question, posed, z, balanced)
+    chosen = select(on, select(posed.slid, weight, select(rests, 2 * mode, mode)), mode)
     # Backward in time a repelling slide may have started at any earlier time. A slide that goes on
     # forward has been decided before, and its matrix is not examined in each step.
     back = (question.direction < 0) & jnp.any(on & (chosen == 0))
@@ -91,6 +92,18 @@ def _goes_on(question: Question, posed: _Inequality, z: Array) -> Array:
     now = pack(question.now, z.dtype)
     on = pack(question.kept, bool) & (jnp.sign(z) == now) & question.leaves
     return on & (now * bend > noise)
+
+
+def _takes_over(question: Question, posed: _Inequality, z: Array, balanced: Array) -> Array:
+    """Walls, m flags, that begin to bear what a slide bore that has ended at its side: the
+    acceleration away from them is zero here, and falls as if the friction became smaller."""
+    following, wall = _following(question), posed.high == jnp.inf
+    if following is None:
+        return jnp.zeros_like(wall)
+    bend, noise = _bend(question, following, z)
+    ended = ~wall & (abs(z) == 1) & balanced & (z * bend > noise) & question.leaves
+    falls = posed.matrix @ select(ended, z, 0.0) > 0
+    return wall & (z == 0) & balanced & falls
 
 
 def _is_held(question: Question, z: Array) -> Array:

@@ -1,5 +1,7 @@
-"""Several surfaces that are one place, such as brakes on one disc: their motion is unique, while
-their weights are not. They share the load, and a slide ends when all are at their limits."""
+"""Several surfaces that bear one load, such as brakes on one disc, or the friction of a mass and the
+wall that it lies against: their motion is unique, while their weights and reactions are not. Brakes
+share the load, and a slide ends when all are at their limits; a wall bears what a friction cannot.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -66,3 +68,61 @@ def test_brakes_on_one_disc_are_one_brake(scales):
     # Each limit counts for itself, whatever its brake carries.
     by_limits = jax.jit(jax.vmap(jax.jacfwd(lambda v: several(v)[0])))(limits)
     np.testing.assert_allclose(by_limits, np.stack([slope] * k, axis=-1), rtol=0, atol=1e-9)
+
+
+class Pressed(jf.System):
+    """Two masses that rub on the ground, each at a wall below it, under loads -a cos t."""
+
+    loads: jax.Array
+    limits: jax.Array
+    signs: jax.Array
+    "The directions in which the velocities are counted."
+
+    def vector_field(self, t, x, side):
+        rubs = self.limits * self.signs * side[:2]
+        return jnp.concatenate([x[2:], -self.loads * jnp.cos(t) - rubs])
+
+    def switching(self, t, x):
+        return jnp.concatenate([self.signs * x[2:], x[:2]])
+
+    def reset(self, t, x, surface):
+        k = surface - 2
+        return jnp.where(k >= 0, x.at[2 + k].multiply(-0.3), x)
+
+
+@pytest.mark.slow
+def test_a_wall_bears_what_a_friction_cannot():
+    """Pressed to their walls first by more than the friction, or by less, and torn off them later by
+    a load that exceeds it, or by none."""
+    limits, loads = (
+        jnp.array([1.0, 0.7]),
+        jnp.array([[2.0, 2.0], [0.6, 0.5], [2.0, 0.5], [0.6, 2.0]]),
+    )
+    signs = jnp.array([[1.0, 1.0], [-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0]])
+
+    @jax.jit
+    @jax.vmap
+    def end(loads, signs):
+        def at_the_end(loads):
+            system = Pressed(loads, limits, signs)
+            sol = jf.solve(system, jnp.zeros(4), 0.0, 3.0, 0.05, max_events=8, throw=False)
+            return sol.x_final, (sol.result, sol.num_events)
+
+        return jax.jvp(at_the_end, (loads,), (jnp.ones(2),), has_aux=True)
+
+    def exact(a):
+        since = jnp.arccos(jnp.maximum(-limits / a, -1.0))  # the load has grown to the friction
+        time = 3.0 - since
+        v = a * (jnp.sin(since) - jnp.sin(3.0)) - limits * time
+        x = a * (jnp.cos(3.0) - jnp.cos(since) + jnp.sin(since) * time) - limits * time**2 / 2
+        return jnp.where(
+            jnp.concatenate([a, a]) > jnp.concatenate([limits, limits]), jnp.r_[x, v], 0
+        )
+
+    found, slopes, (results, events) = end(loads, signs)
+    assert (outcome_names(results) == "successful").all()
+    np.testing.assert_allclose(found, jax.vmap(exact)(loads), rtol=0, atol=1e-14)
+    by_load = jax.vmap(lambda a: jax.jvp(exact, (a,), (jnp.ones(2),))[1])(loads)
+    np.testing.assert_allclose(slopes, by_load, rtol=0, atol=1e-13)
+    # Two that lie still all the time have no event.
+    assert events[1] == 0 and (events[jnp.array([0, 2, 3])] > 0).all()
