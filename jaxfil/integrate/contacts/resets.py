@@ -25,6 +25,7 @@ from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState
 from jaxfil.integrate.lane.step_length import Length, typical_step
 from jaxfil.integrate.surfaces import filippov, unilateral
+from jaxfil.integrate.surfaces.corners import steered
 from jaxfil.integrate.surfaces.unilateral import Constraints, ResetEffect
 from jaxfil.integrate.system.components import (
     Components,
@@ -169,8 +170,12 @@ def _view(
     size, fast = (
         maximum(abs(now), abs(old)) for now, old in ((x, state.motion.x), (f, state.motion.f))
     )
-    if together:  # rates include the rounding of terms that reactions cancel
-        fast = maximum(fast, abs(system.field(t, x, sides)))
+    if together:
+        # Rates include the rounding of terms that cancel: of reactions, and of the two sides of a
+        # friction, also where its slide has just ended.
+        for side in sides, where(steered(system), -sides, sides):
+            terms = abs(system.field(t, x, side))
+            fast = maximum(fast, where(terms < jnp.inf, terms, 0.0))
     inside, dt = system.rate_rounding(t, x, sides), typical_step(problem, state)
     by_time = a - c.gradients @ f
     noise = unilateral.rate_noise(system, t, size, inside, dt, fast, c, by_time, surfaces)
