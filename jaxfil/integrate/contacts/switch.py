@@ -60,7 +60,8 @@ def _surfaces_at(
     """The surfaces at (t, x), after maps."""
     system, pending = problem.system, state.pending
     h, h_t, normals = system.gradients(t, x)
-    scale = larger(state.motion.scale, x, None if state.turn is None else pending.waits)
+    turns = pending.waits & ~pending.jumped & any_of(pending.surfaces)  # not a switch after another
+    scale = larger(state.motion.scale, x, None if state.turn is None else turns)
     here = stop_gradient(maximum(abs(state.motion.x), abs(x)))
     noise = surface_noise(system, t, x, here, h_t, normals)
     gathered = surface_noise(system, t, x, scale, h_t, normals)

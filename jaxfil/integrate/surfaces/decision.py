@@ -41,7 +41,13 @@ from jaxfil.integrate.surfaces.question import (
 )
 from jaxfil.integrate.surfaces.reactions import Forces
 from jaxfil.integrate.surfaces.unilateral import rests_of
-from jaxfil.integrate.surfaces.weights import governs, held_together, is_governed, weights
+from jaxfil.integrate.surfaces.weights import (
+    governs,
+    held_together,
+    is_governed,
+    response,
+    weights,
+)
 from jaxfil.integrate.system.components import (
     Components,
     any_of,
@@ -224,9 +230,13 @@ def _continues(
         borne = flat & ~is_governed(sides, rates, w, small) & any_of(rests)
         leaves = leaves | (ended & borne & (sides == question.now))
         if following is not None:
-            bend, noise = _bend(question, following, force, sides, w)
-            again = (sides == 0) & (w * question.now > 1 - NOISE * eps)
-            solved = solved & ~(ended & again & (question.now * bend > noise))
+            again = ended & (sides == 0) & (w * question.now > 1 - NOISE * eps)
+            beside = where(again, question.now, sides)
+            bend, noise = _bend(question, following, force, beside, w)
+            # The weights of other slides change with the time.
+            change = response(beside, rates, where(beside == 0, -bend, 0.0))
+            more = jax.jvp(lambda w: rates.blend(beside, w), (w,), (change,))[1]
+            solved = solved & ~(again & (question.now * (bend + more) > noise))
     ok = ok & ~any_of(slid & ~where(sides == 0, solved, leaves))
     mode = sides
     if rests is not None and accelerations is not None and force is not None and forces is not None:

@@ -101,6 +101,9 @@ def _takes_over(question: Question, posed: _Inequality, z: Array, balanced: Arra
     if following is None:
         return jnp.zeros_like(wall)
     bend, noise = _bend(question, following, z)
+    # The weights of other slides change with the time.
+    change = solve(posed.matrix, bend[:, None], posed.slid & (abs(z) < 1))[:, 0]
+    bend = bend - posed.matrix @ change
     ended = ~wall & (abs(z) == 1) & balanced & (z * bend > noise) & question.leaves
     falls = posed.matrix @ select(ended, z, 0.0) > 0
     return wall & (z == 0) & balanced & falls
@@ -160,7 +163,10 @@ def _with_few_reactions(question: Question, posed: _Inequality) -> tuple[Array, 
         tried = without | (number == k)
         high = select(tried, posed.low, posed.high)
         other, ok = _solved(dataclasses.replace(posed, high=high), plus)
-        value, noise = posed.q + posed.matrix @ other, residual_noise(posed.q, posed.matrix, z, high)
+        value, noise = (
+            posed.q + posed.matrix @ other,
+            residual_noise(posed.q, posed.matrix, z, high),
+        )
         apart = are_apart(_velocity_of(question, z), _velocity_of(question, other))
         ok = ok & ((k < 0) | ~(apart | jnp.any(tried & (value < -noise))))
         z, without = select(ok, other, z), select(ok, tried, without)
