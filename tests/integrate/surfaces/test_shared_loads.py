@@ -94,8 +94,8 @@ class Pressed(jf.System):
 
 @pytest.mark.slow
 def test_a_wall_bears_what_a_friction_cannot():
-    """Pressed to their walls by more than the friction, or by less, from the start or by a load that
-    grows from zero, and torn off them later by a load that exceeds it, or by none."""
+    """Pressed to their walls by more than the friction, or by less, from the start or by a load
+    that grows from zero, and torn off them later by a load that exceeds it, or by none."""
     limits = jnp.array([1.0, 0.7])
     loads = jnp.tile(jnp.array([[2.0, 2.0], [0.6, 0.5], [2.0, 0.5], [0.6, 2.0]]), (2, 1))
     signs = jnp.tile(jnp.array([[1.0, 1.0], [-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0]]), (2, 1))
