@@ -240,11 +240,8 @@ def least_between(
     down, up = (length * rate for rate in rates)
     cubic, square = 2 * (low - high) + down + up, 3 * (high - low) - 2 * down - up
     inner = square**2 - 3 * cubic * down
-    # On a short step values that differ by rounding do not agree with the rates, and may leave a
-    # quotient by zero. The fraction is then 1.
-    size = square + inner.clip(0) ** 0.5
-    flat = (size == 0).astype(size.dtype)
-    part = ((flat - down) / (size + flat)).clip(0, 1)
+    # On a short step values that differ by rounding do not agree with the rates.
+    part = (-down / (square + inner.clip(0) ** 0.5)).clip(0, 1)
     return part, ((cubic * part + square) * part + down) * part + low
 
 

@@ -67,7 +67,9 @@ def _lowest(
     rounding = np.finfo(lengths.dtype).eps * max(np.max(abs(v), initial=0) for v in values)
     part, value = low, values[0]
     for _ in range(_CUBICS if k.size else 0):
-        between, expected = least_between((high - low) * lengths, values, rates)
+        # Numbers that differ by rounding may leave a quotient by zero, whose part of a step is 1.
+        with np.errstate(divide="ignore"):
+            between, expected = least_between((high - low) * lengths, values, rates)
         part = low + between * (high - low)
         there = pieces.at(k, part)
         value, rate = there.guards[:, j], there.rates[:, j]
