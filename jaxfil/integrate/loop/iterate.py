@@ -182,8 +182,10 @@ def _carried_out(
         more = switched & any_of(end.next)
         waits, surfaces = waits | more, where(switched, end.next, surfaces)
         # The flag of a jump stays set until all switches that follow from it are done. A surface
-        # that a reset has moved the state off is left, also after a chattering.
-        across = across | (more & end.off)
+        # that a reset has moved the state off is left, also after a chattering, but not where turns
+        # have led to it.
+        left = more if end.turn is None else more & ~end.turn.completed
+        across = across | (left & end.off)
         if end.jump is not None:  # time has passed, at the end of chattering or of turns
             more = more & ~(end.jump > 0)
         jumped = jumped | (more & (before.jumped | end.moved))
