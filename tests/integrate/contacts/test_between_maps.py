@@ -339,6 +339,17 @@ CUT = [
 ]
 
 
+def in_two_runs(system, section, direction, t1):
+    """The end as a function of the start, of a run that ends at a section and of the next one."""
+    last = jf.Section(section, direction=direction, terminal=1)
+
+    def chained(x0):
+        first = jf.solve(system, x0, 0.0, t1, 0.05, sections=last)
+        return jf.solve(system, first.x_final, first.t_final, t1, 0.05).x_final
+
+    return chained
+
+
 @pytest.mark.parametrize(
     "system, x0, section, direction, t1, end", CUT, ids=["store", "floor", "time", "neurons"]
 )
@@ -346,18 +357,21 @@ def test_a_run_that_ends_between_two_maps_ends_after_the_last(
     system, x0, section, direction, t1, end
 ):
     """So that the run from there is the rest of the whole one."""
-    last = jf.Section(section, direction=direction, terminal=1)
-
-    def chained(x0):
-        first = jf.solve(system, x0, 0.0, t1, 0.05, sections=last)
-        return jf.solve(system, first.x_final, first.t_final, t1, 0.05).x_final
-
+    chained = in_two_runs(system, section, direction, t1)
     x0 = jnp.array(x0)
     whole = jf.solve(system, x0, 0.0, t1, 0.05).x_final
     np.testing.assert_allclose(whole, end, rtol=1e-13)
     np.testing.assert_allclose(chained(x0), whole, rtol=1e-13)
     if isinstance(system, Store):  # each of the two losses leaves 0.7
         np.testing.assert_allclose(jax.jacfwd(chained)(x0), [[0.49]], rtol=1e-13)
+
+
+@pytest.mark.release
+def test_a_run_from_between_two_kicks_has_the_derivative_of_the_whole():
+    system, x0, section, direction, t1, _ = CUT[-1]
+    slopes = jax.jacfwd(lambda x: jf.solve(system, x, 0.0, t1, 0.05).x_final)(jnp.array(x0))
+    chained = in_two_runs(system, section, direction, t1)
+    np.testing.assert_allclose(jax.jacfwd(chained)(jnp.array(x0)), slopes, atol=1e-13)
 
 
 def test_a_bound_between_two_maps_ends_the_run_after_the_last():
