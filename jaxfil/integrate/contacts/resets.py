@@ -306,7 +306,6 @@ def _chattering(
     # bounces would show, and the field moves the state only as far as it is constant to rounding.
     # Only one surface has been reset.
     time = total(where(ends, minimum(times, _LEAP * longest), 0.0))
-
     slid = state.motion.mode == 0
 
     def is_clear(time: Array) -> Array:
@@ -323,7 +322,6 @@ def _chattering(
     clear = is_clear(time)
     time = select(clear, time, once)
     found = any_of(ends) & (clear | ((once > 0) & is_clear(once)))
-
     # The limit may be past a grid point by its rounding, which must not become a step back from
     # the wall in the motion after it.
     total_time = select(found, time - length.beyond(time), 0.0)

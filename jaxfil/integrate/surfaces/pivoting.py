@@ -42,20 +42,32 @@ class _Inequality(eqx.Module):
     level: Array
     """Those of them that dψ/dt decides in place of ψ."""
 
+    @property
+    def walls(self) -> Array:
+        """Surfaces with a reaction to be found, m flags."""
+        return self.high == jnp.inf
+
+    def value(self, z: Array) -> Array:
+        """F at z."""
+        return self.q + self.matrix @ z
+
+    def noise(self, z: Array) -> Array:
+        """The rounding of F at z."""
+        return residual_noise(self.q, self.matrix, z, self.high)
+
 
 def by_pivoting(question: Question) -> tuple[Components, Array]:
     """`decision.decide` by pivoting. The solution is unique if the symmetric part of the matrix is
     positive definite. Otherwise the search starts again from other sides, from the opposite of all
     and of each, until another motion is found."""
     posed = _inequality(question)
-    z, found = _with_few_reactions(question, posed)
+    z, found = _solution(question, posed)
     on, mode = pack(question.on, bool), pack(question.mode, posed.q.dtype)
     # The solution only says which surfaces slide or rest. The weights and reactions themselves are
     # computed from the mode.
     weight = select(abs(z) >= 1, jnp.sign(z), 0.0)
     # Where dψ/dt vanishes in place of ψ, the slide of another surface holds both.
-    residual = abs(posed.q + posed.matrix @ z)
-    balanced = residual <= residual_noise(posed.q, posed.matrix, z, posed.high)
+    balanced = abs(posed.value(z)) <= posed.noise(z)
     both = posed.level & balanced
     steered = pack(question.steered, bool)
     # Others are held by the weight of one that is steered, or not at all.
@@ -67,9 +79,11 @@ def by_pivoting(question: Question) -> tuple[Components, Array]:
     stays = _goes_on(question, posed, z)
     if not question.slides:
         stays = stays | _is_held(question, z)
-    edge = balanced & sliding & ~stays & ~_pulls(posed, z)
+    edge, rests = balanced & sliding & ~stays, z > 0
+    if question.walls is not None:
+        edge = edge & ~_pulls(posed, z)
+        rests = rests | _takes_over(question, posed, z, balanced)
     weight = select(both | holding | edge, 0.0, weight)
-    rests = (z > 0) | _takes_over(question, posed, z, balanced)
     chosen = select(on, select(posed.slid, weight, select(rests, 2 * mode, mode)), mode)
     # Backward in time a repelling slide may have started at any earlier time. A slide that goes on
     # forward has been decided before, and its matrix is not examined in each step.
@@ -97,16 +111,16 @@ def _goes_on(question: Question, posed: _Inequality, z: Array) -> Array:
 def _takes_over(question: Question, posed: _Inequality, z: Array, balanced: Array) -> Array:
     """Walls, m flags, that begin to bear what a slide bore that has ended at its side: the
     acceleration away from them is zero here, and falls as if the friction became smaller."""
-    following, wall = _following(question), posed.high == jnp.inf
+    following, walls = _following(question), posed.walls
     if following is None:
-        return jnp.zeros_like(wall)
+        return jnp.zeros_like(walls)
     bend, noise = _bend(question, following, z)
     # The weights of other slides change with the time.
     change = solve(posed.matrix, bend[:, None], posed.slid & (abs(z) < 1))[:, 0]
     bend = bend - posed.matrix @ change
-    ended = ~wall & (abs(z) == 1) & balanced & (z * bend > noise) & question.leaves
+    ended = ~walls & (abs(z) == 1) & balanced & (z * bend > noise) & question.leaves
     falls = posed.matrix @ select(ended, z, 0.0) > 0
-    return wall & (z == 0) & balanced & falls
+    return walls & (z == 0) & balanced & falls
 
 
 def _is_held(question: Question, z: Array) -> Array:
@@ -145,13 +159,15 @@ def _solved(posed: _Inequality, signs: Array) -> tuple[Array, Array]:
     return signs * z, found
 
 
-def _with_few_reactions(question: Question, posed: _Inequality) -> tuple[Array, Array]:
+def _solution(question: Question, posed: _Inequality) -> tuple[Array, Array]:
     """A solution, and whether one was found, in which no surface bears a load that the slides can
     bear. A mass that its friction can hold at a wall has many solutions, between those of the
     friction alone and of the wall. In a mode that slides and rests there its weight and reaction
     would be undetermined."""
     number, plus = jnp.arange(len(posed.q), dtype=jnp.int32), jnp.ones_like(posed.q)
-    linked = jnp.any((posed.matrix != 0) & posed.slid[None, :], axis=1) & (posed.high == jnp.inf)
+    if question.walls is None:
+        return _solved(posed, plus)
+    linked = jnp.any((posed.matrix != 0) & posed.slid[None, :], axis=1) & posed.walls
 
     def goes_on(state: tuple) -> Array:
         *_, k = state
@@ -161,14 +177,11 @@ def _with_few_reactions(question: Question, posed: _Inequality) -> tuple[Array, 
         z, found, without, k = state
         # First with all surfaces, then without one more of those that have a reaction.
         tried = without | (number == k)
-        high = select(tried, posed.low, posed.high)
-        other, ok = _solved(dataclasses.replace(posed, high=high), plus)
-        value, noise = (
-            posed.q + posed.matrix @ other,
-            residual_noise(posed.q, posed.matrix, z, high),
-        )
+        fewer = dataclasses.replace(posed, high=select(tried, posed.low, posed.high))
+        other, ok = _solved(fewer, plus)
         apart = are_apart(_velocity_of(question, z), _velocity_of(question, other))
-        ok = ok & ((k < 0) | ~(apart | jnp.any(tried & (value < -noise))))
+        runs_in = tried & (fewer.value(other) < -fewer.noise(z))
+        ok = ok & ((k < 0) | ~(apart | jnp.any(runs_in)))
         z, without = select(ok, other, z), select(ok, tried, without)
         later = linked & (z > 0) & (number > k)
         k = select(jnp.any(later), jnp.argmax(later).astype(k.dtype), len(number))
@@ -182,7 +195,7 @@ def _with_few_reactions(question: Question, posed: _Inequality) -> tuple[Array, 
 def _pulls(posed: _Inequality, z: Array) -> Array:
     """Slides at the end of their weight whose rates reactions hold, m flags, if one of these would
     have to pull without their friction. A slide that reactions hold has the weight 0."""
-    rests = (posed.high == jnp.inf) & (z > 0)
+    rests = posed.walls & (z > 0)
     # The change of the reactions by each weight, and of the rates by both.
     change = solve(posed.matrix, posed.matrix, rests)
     answer = jnp.diag(posed.matrix) - jnp.sum(posed.matrix * change.T, axis=1)
