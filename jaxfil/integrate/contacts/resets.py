@@ -141,7 +141,7 @@ def lead(
     def led(t: Array, x: Components, *given: Any) -> tuple[Components, Impact]:
         state, length, reset, at = given
         seen = _view(problem, state, t, x, (at.h_t, at.normals))
-        x, seen = _held(state, reset, seen, x)
+        x, seen = _held(system, state, reset, seen, x, at)
         return x, _follow(problem, state, length, reset, seen, at)
 
     def nothing(t: Array, x: Components, *_: Any) -> tuple[Components, Impact]:
@@ -185,19 +185,30 @@ def _view(
     return View(c, effect, a, by_time, noise)
 
 
-def _held(state: LoopState, reset: Reset, seen: View, x: Components) -> tuple[Components, View]:
+def _held(
+    system: ComponentSystem, state: LoopState, reset: Reset, seen: View, x: Components, at: Surfaces
+) -> tuple[Components, View]:
     """The state with zero rates at its resting surfaces, and the view from there."""
-    c = seen.constraints
+    c, limit = seen.constraints, at_limit(state)
     # A rate caused by a reset or a jump is not rounding, and is kept.
     thrown = reset.moved | (state.pending.jumped & (abs(stop_gradient(c.rate)) > seen.noise))
     # At the limit of turns the rates at the surfaces reached have died out.
-    rests = (unilateral.rests_of(state.motion.mode) & ~thrown) | (
-        at_limit(state) & seen.effect.throws_back
-    )
-    push = unilateral.multipliers(c.impulse.gains, c.rate, rests)
-    c = dataclasses.replace(c, rate=c.impulse.answered(c.rate, push))
+    rests = (unilateral.rests_of(state.motion.mode) & ~thrown) | (limit & seen.effect.throws_back)
+    by, on, rate = c.impulse, rests, c.rate
+    if filippov.holds_together(system):
+        # The state stays on the surfaces that it slides on, or has reached at the limit. One that
+        # is brought to rest by impulses alone would leave a friction that holds it.
+        slid = ((state.motion.mode == 0) | (limit & ~seen.effect.throws_back)) & ~at.off
+        directions = by.directions.where_each(slid, at.normals)
+        by = unilateral.Response(directions, c.gradients.products(directions))
+        gains = c.gradients.where_each(slid, at.normals).products(directions)
+        on, rate = rests | slid, where(rests, c.rate, 0.0)
+    else:
+        gains = by.gains
+    push = unilateral.multipliers(gains, rate, on)
+    c = dataclasses.replace(c, rate=by.answered(c.rate, push))
     seen = dataclasses.replace(seen, constraints=c)
-    return c.impulse.directions.added(x, push), seen
+    return by.directions.added(x, push), seen
 
 
 def at_limit(state: LoopState) -> Components:

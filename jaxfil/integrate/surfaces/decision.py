@@ -141,15 +141,19 @@ def _try(question: Question, found: _Found, candidate: Components, rounds: Array
     """The result after trying one more combination."""
     ok, mode, made = _continues(question, candidate, rounds)
     first, new, velocity = ok & (found.count == 0), ok, None
+    taken = first
     if made is not None and found.velocity is not None:
         # Each is compared with the first alone, since all counts above 1 mean the same, not unique.
         apart = are_apart(made, Velocity(found.velocity, abs(found.velocity)))
         new = ok & ((found.count == 0) | apart)
         velocity = where(first, made.f, found.velocity)
+        if question.walls is not None and question.kept is not None and question.now is not None:
+            # Of several shares of one load between frictions and walls, that of the mode before.
+            taken = taken | (ok & ~apart & ~any_of(question.kept & (mode != question.now)))
     # A combination that holds only to within rounding is the same motion to that order.
     new = new & ((rounds < 2) | first)
     return _Found(
-        where(first, mode, found.mode),
+        where(taken, mode, found.mode),
         found.count + new.astype(jnp.int32),
         velocity,
         found.number + 1,
@@ -240,8 +244,8 @@ def _continues(
     ok = ok & ~any_of(slid & ~where(sides == 0, solved, leaves))
     mode = sides
     if rests is not None and accelerations is not None and force is not None and forces is not None:
-        ended = rounded & (abs(sides) == 1) & ~rests
-        fine, pushes = _rests(question, rests, accelerations, force, sides, w, ended)
+        ended = rounded & (abs(sides) == 1) & ~rests & question.ended(sides)
+        fine, pushes = _rests(question, rests, rates, accelerations, force, sides, w, ended)
         mode = where(rests, 2 * sides, sides)
         if question.kept is not None and question.now is not None:
             lenient = lenient | (question.kept & (mode == question.now))
@@ -319,6 +323,7 @@ def _velocity(
 def _rests(
     question: Question,
     rests: Components,
+    rates: Corners,
     accelerations: Corners,
     force: Corners,
     sides: Components,
@@ -329,12 +334,16 @@ def _rests(
     exactly, and to within rounding.
 
     A wall that a friction has kept the motion off has a reaction and an acceleration of zero where
-    the slide has just `ended` at its side. They grow from zero as if the friction became smaller.
+    the slide has just `ended` at its side. They grow from zero as if the friction became smaller,
+    and other slides held the motion as before.
     """
     assert question.forces is not None
     away, eps = question.mode, jnp.finfo(question.direction.dtype).eps
     known = question.forces.accelerations
-    halfway = where(ended, 0.0, sides), where(ended, 0.0, w)
+    smaller = where(ended, 0.0, w)
+    moved = jax.jvp(lambda w: rates.blend(where(ended, 0.0, sides), w), (w,), (smaller - w,))[1]
+    smaller = smaller + response(sides, rates, where(sides == 0, -moved, 0.0))
+    halfway = where(ended, 0.0, sides), smaller
     a, pushes = accelerations.blend(sides, w), force.blend(sides, w)
     noise = NOISE * eps * (known.sizes() + question.forces.sizes(pushes))
     own = question.forces.response.gains.diagonal()

@@ -115,11 +115,15 @@ def _takes_over(question: Question, posed: _Inequality, z: Array, balanced: Arra
     if following is None:
         return jnp.zeros_like(walls)
     bend, noise = _bend(question, following, z)
-    # The weights of other slides change with the time.
-    change = solve(posed.matrix, bend[:, None], posed.slid & (abs(z) < 1))[:, 0]
-    bend = bend - posed.matrix @ change
-    ended = ~walls & (abs(z) == 1) & balanced & (z * bend > noise) & question.leaves
-    falls = posed.matrix @ select(ended, z, 0.0) > 0
+    # The weights of other slides change too, so that these go on.
+    free = posed.slid & (abs(z) < 1)
+
+    def beside_slides(change: Array) -> Array:
+        return change - posed.matrix @ solve(posed.matrix, change[:, None], free)[:, 0]
+
+    ended = pack(question.ended(_like(question.mode, z)), bool) & ~walls & (abs(z) == 1) & balanced
+    ended = ended & (z * beside_slides(bend) > noise) & question.leaves
+    falls = beside_slides(posed.matrix @ select(ended, z, 0.0)) > 0
     return walls & (z == 0) & balanced & falls
 
 

@@ -56,6 +56,14 @@ class Question(eqx.Module):
     """Whether the system may slide. Otherwise a motion that the field of one side holds on its
     surface, while that of the other pushes it there, stays on its side."""
 
+    def ended(self, sides: Components) -> Components:
+        """Slides that have ended at their `sides` at this time, m flags: in this event, or in one
+        before it, after which the motion is still on the surface. A rate that vanishes on the side
+        of another surface is a coincidence."""
+        if self.now is None or self.kept is None:
+            return self.on & ~self.on
+        return (~self.on & (self.now == 0)) | (self.kept & (self.now == sides))
+
 
 def question_of(
     rates: Corners,

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxfil.integrate.system.components import Components, dot
+from jaxfil.integrate.system.components import Components, dot, where
 from jaxfil.xla.moves import taken
 from jaxfil.xla.select import select
 
@@ -78,6 +78,14 @@ class Rows:
             return Rows.array(select(mask, self._array, other._array))
         each = zip(chosen, self.rows, other.rows, strict=True)
         return Rows(own if flag else others for flag, own, others in each)
+
+    def where_each(self, flags: Components, other: "Rows") -> "Rows":
+        """The rows of another matrix where the flags of a lane are set, and its own elsewhere;
+        neither may have `members`."""
+        if self.is_array:
+            return Rows.array(select(flags.parts[0][:, None], other._array, self._array))
+        each = zip(flags.parts, other.rows, self.rows, strict=True)
+        return Rows(where(flag, others, own) for flag, others, own in each)
 
     def __matmul__(self, v: Components) -> Components:
         """The product of each row with a vector."""
