@@ -109,22 +109,29 @@ def _goes_on(question: Question, posed: _Inequality, z: Array) -> Array:
 
 
 def _takes_over(question: Question, posed: _Inequality, z: Array, balanced: Array) -> Array:
-    """Walls, m flags, that begin to bear what a slide bore that has ended at its side: the
-    acceleration away from them is zero here, and falls as if the friction became smaller."""
+    """Walls, m flags, that begin to bear what a slide bore that has ended at its side. Their
+    reactions, zero here, and the accelerations away from them solve the inequality for the
+    changes as if the friction became smaller."""
     following, walls = _following(question), posed.walls
     if following is None:
         return jnp.zeros_like(walls)
     bend, noise = _bend(question, following, z)
-    # The weights of other slides change too, so that these go on.
-    free = posed.slid & (abs(z) < 1)
 
-    def beside_slides(change: Array) -> Array:
-        return change - posed.matrix @ solve(posed.matrix, change[:, None], free)[:, 0]
+    def beside(changes: Array, others: Array) -> Array:
+        # Others change too, so that what they hold is held.
+        return changes - posed.matrix @ solve(posed.matrix, changes, others)
 
+    slid = posed.slid & (abs(z) < 1)
+    (bend,) = beside(bend[:, None], slid).T
     ended = pack(question.ended(_like(question.mode, z)), bool) & ~walls & (abs(z) == 1) & balanced
-    ended = ended & (z * beside_slides(bend) > noise) & question.leaves
-    falls = beside_slides(posed.matrix @ select(ended, z, 0.0)) > 0
-    return walls & (z == 0) & balanced & falls
+    ended = ended & (z * bend > noise) & question.leaves
+    changes = jnp.concatenate([(posed.matrix @ select(ended, -z, 0.0))[:, None], posed.matrix], 1)
+    changes = beside(changes, slid | (walls & (z > 0)))
+    rises, gains = changes[:, 0], changes[:, 1:]
+    idle = walls & (z == 0) & balanced & jnp.any(ended)
+    bound = jnp.zeros_like(z)
+    borne, _ = solve_on_box(rises, gains, bound, select(idle, jnp.inf, bound))
+    return idle & (borne > 0)
 
 
 def _is_held(question: Question, z: Array) -> Array:
@@ -137,10 +144,23 @@ def _is_held(question: Question, z: Array) -> Array:
 
 
 def _bend(question: Question, following: Corners, z: Array) -> tuple[Array, Array]:
-    """dψ/dt with the weights z, and its rounding."""
-    sides = where(question.on, 0.0, question.mode)
-    bend = pack(following.blend(sides, _like(question.mode, z)), z.dtype)
-    return bend, NOISE * jnp.finfo(z.dtype).eps * pack(following.sizes(), z.dtype)
+    """dψ/dt with the weights and reactions z, and its rounding."""
+    sides, force = _parted(question, z)
+    bend, size = following.blend(sides, _like(question.mode, z)), following.sizes()
+    if question.forces is not None:
+        bend = bend + question.forces.response.gains @ force
+        size = size + question.forces.sizes(abs(force))
+    return pack(bend, z.dtype), NOISE * jnp.finfo(z.dtype).eps * pack(size, z.dtype)
+
+
+def _parted(question: Question, z: Array) -> tuple[Components, Components]:
+    """The sides of all surfaces, 0 of those with a weight among the weights and reactions z, and
+    the reactions λ in z, 0 of others; m components each."""
+    slid = question.on if question.walls is None else question.on & ~question.walls
+    one = question.mode.like(jnp.ones((), z.dtype))
+    sides = where(slid, 0.0, where(question.mode < 0, -one, one))
+    rests = rests_of(question.mode) | (question.on & ~slid)
+    return sides, where(rests, _like(question.mode, z) * sides, 0.0)
 
 
 def _following(question: Question) -> Corners | None:
@@ -233,14 +253,11 @@ def _velocity_of(question: Question, z: Array) -> Velocity:
     weights, forces = _like(question.mode, z), question.forces
     if question.fields is None:
         return Velocity(weights, abs(weights))
-    slid = question.on if question.walls is None else question.on & ~question.walls
-    plus = question.mode.like(jnp.ones((), z.dtype))
-    sides = where(slid, 0.0, where(question.mode < 0, -plus, plus))
+    sides, force = _parted(question, z)
     f, size = question.fields.blend(sides, weights), question.fields.sizes()
     if forces is None:
         return Velocity(f, size)
-    force, directions = where(slid, 0.0, weights * sides), forces.response.directions
-    force = where(rests_of(question.mode) | (question.on & ~slid), force, 0.0)
+    directions = forces.response.directions
     return Velocity(directions.added(f, force), abs(directions).added(size, abs(force)))
 
 
