@@ -254,10 +254,11 @@ def _follow(
     walls = reverses & ~(reset.heard & unilateral.lets_through(outward, noise))
     # A surface that a map has carried the state across has a contact at this time.
     across = switching & at.off & (state.motion.mode * at.h < 0) & ~reset.heard
-    # A waiting reset is dropped if the state was moved back, or no longer moves to its surface.
+    # A waiting reset is dropped if the state was moved back, or no longer moves to its surface,
+    # where it may also have come to rest.
     back = at.off & (state.motion.mode * at.h > 0)
     parts = reverses & there & (outward > noise)
-    spared = reset.waits & (back | (reset.moved & parts))
+    spared = reset.waits & (back | (reset.moved & parts) | still)
     owed = (reset.waits & ~spared) | acts | across
     rests, consistent = unilateral.pressed(c.reaction, seen.a, sides, still)
     if system.m > 1:

@@ -26,6 +26,7 @@ from jaxfil.integrate.contacts.guards import (
     surface_noise,
     unguarded,
 )
+from jaxfil.integrate.contacts.in_turn import as_planned, in_turn
 from jaxfil.integrate.contacts.maps import Maps, mapped, ticked
 from jaxfil.integrate.contacts.resets import Impact
 from jaxfil.integrate.lane.problem import Problem
@@ -43,7 +44,6 @@ from jaxfil.integrate.system.components import (
     any_of,
     first_set,
     maximum,
-    total,
     where,
 )
 from jaxfil.integrate.system.lowered import ComponentSystem
@@ -131,7 +131,8 @@ def evaluate_step_end(
     if system.slides or are_coupled(system):
         at = _with_rounding_of_forces(problem, state, length, at, fields)
     choice = decided(problem, state, (t, x), (fields, rates), at, led, later)
-    choice, again, redone = _in_turn(problem, state, maps, choice, later)
+    whole = as_planned(state, choice, later)
+    choice, again, redone = in_turn(problem, state, maps, whole, later)
     if system.clocks or are_coupled(system):
         # A tick, or a contact or reset of another surface, may put the state where it then slides
         # or rests, also where it did so before; and H may jump there at a tick.
@@ -168,6 +169,8 @@ def evaluate_step_end(
         members=_members(state, maps, motion, later),
         next=later,
         again=again,
+        plan=None if again is None else whole.mode,
+        planned=None if again is None else again & (whole.count == 1),
         ticks=_ticks_again(problem, state, length.end),
         misfit=None,
         jump=None,
@@ -185,47 +188,6 @@ def _ticks_again(problem: Problem, state: LoopState, tau: Array) -> Array | None
     if len(problem.system.clocks) < 2 or problem.tick is None:
         return None
     return state.pending.waits & problem.ticks_at(tau)
-
-
-def _in_turn(
-    problem: Problem, state: LoopState, maps: Maps, choice: Decision, later: Components | None
-) -> tuple[Decision, Array | None, Array | None]:
-    """The part of the decision that belongs to this switch, whether another switch must follow at
-    the same time, and whether the next switch decides all surfaces again. Changes that a contact or
-    a map causes on other surfaces, such as the end of a slide, are events of their own."""
-    system, mode = problem.system, state.motion.mode
-    if system.m == 1 and maps.ticked is None:
-        return choice, None, None
-    hit = state.pending.surfaces if later is None else state.pending.surfaces & ~later
-    if maps.reset is not None:
-        hit = where(maps.reset.moved, maps.reset.acted, hit)
-    switching, carried = state.pending.waits & ~state.pending.grazes, jnp.zeros((), bool)
-    if later is not None:
-        # While some surfaces have sides that the state is not on, no other one is decided.
-        carried = any_of(later) & (maps.moved | state.pending.jumped)
-    cause = (switching & (any_of(hit) | maps.moved)) | carried
-    changed = choice.mode != mode
-    # Without a contact or a map all changes belong to this switch that are of one kind.
-    others = changed & ~where(cause, hit, _alike(system, mode, choice.mode))
-    again = switching & any_of(others)
-    if later is not None:
-        # A surface that waits for its reset takes its side at once.
-        others, again = others & ~later, again & ~any_of(later)
-    # If the next switch decides again, a decision with no mode or several is not a failure yet.
-    redone, count = again | carried, select(again, jnp.maximum(choice.count, 1), choice.count)
-    count = select(carried, 1, count)
-    kept = where(others & (cause | redone), mode, choice.mode)
-    return Decision(kept, count), again, redone
-
-
-def _alike(system: ComponentSystem, before: Components, after: Components) -> Components:
-    """The surfaces whose mode changes in the same way as the lowest one's: to be held, to be no
-    longer held, or from side to side."""
-    one = jnp.ones((), system.dtype)
-    ways = where(stays_on(system, before), one, 0.0 * one)
-    ways = where(stays_on(system, after), 2.0 * one, ways)
-    first = first_set(before != after)
-    return ways == total(where(first, ways, 0.0))
 
 
 def _without_undefined(before: Motion, motion: Motion, redone: Array) -> Motion:
@@ -355,6 +317,8 @@ def _smooth_end(
         members=none,
         next=None,
         again=None,
+        plan=None,
+        planned=None,
         ticks=_ticks_again(problem, state, tau),
         misfit=None,
         jump=None,

@@ -111,6 +111,11 @@ class Pending(eqx.Module):
     together: Array | None
     """Whether the surfaces of the landing are decided together, and not one after the other; None
     for separate surfaces and for systems with resets."""
+    planned: Array | None
+    """Whether the decision of the switch before holds for this one too; None where there is never
+    another switch for it."""
+    plan: Components
+    """The mode of that decision."""
     repeats: Array
     """Number of consecutive contacts at one time."""
     tau: Array
@@ -229,6 +234,11 @@ class StepEnd(eqx.Module):
     """Surfaces that need another switch at the same time; None if no surface can."""
     again: Array | None
     """Whether all other surfaces need another switch, after a jump; None without jumps."""
+    plan: Components | None
+    """The mode in which the next switch leaves the motion, if it needs no other decision; None
+    without `again`."""
+    planned: Array | None
+    """Whether it needs none."""
     ticks: Array | None
     """Whether the tick of another clock follows at the same time; None without several clocks."""
     misfit: Array | None

@@ -198,6 +198,12 @@ def _carried_out(
         waits = waits | (switched & end.again)
         surfaces = surfaces & ~(switched & end.again)
         jumped, across = jumped | (switched & end.again), across | (switched & end.again & end.off)
+    planned, plan = before.planned, before.plan
+    if planned is not None:
+        planned = planned & ~switched
+        if end.plan is not None and end.planned is not None:
+            planned = planned | (switched & end.planned)
+            plan = where(switched, end.plan, plan)
     together = before.together
     if together is not None and end.misfit is not None:
         # A switch that is a misfit is taken back, and repeated with its surfaces decided together.
@@ -231,6 +237,8 @@ def _carried_out(
             jumped=select(lands, landing.jumped, jumped),
             across=where(lands, landing.jumped, across),
             together=together,
+            planned=planned,
+            plan=plan,
             repeats=select(switched, judgement.repeats, before.repeats),
             tau=select(switched, stop_gradient(end.motion.tau), before.tau),
         ),

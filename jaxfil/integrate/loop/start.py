@@ -277,6 +277,8 @@ def initial_state(problem: Problem, x: Components) -> LoopState:
             jumped=false,
             across=nowhere,
             together=None if alone else false,
+            planned=false if system.m > 1 or system.ticks else None,
+            plan=start.motion.mode,
             repeats=zero,
             # Infinitely long ago, so that the first contact does not count as a repeated one.
             tau=tau - jnp.inf,

@@ -63,7 +63,7 @@ def test_all_problems_are_answered():
         # A phase that goes on while impacts die out; impacts on two walls at one time, for ever.
         # Frictions that bear what a wall would bear too, at the start and at events, also where a
         # mass begins to move.
-        ((2, 2, 2), (26, 178, 190, 73, 136, 381, 441, 455, 91, 313, 373, 450, 453)),
+        ((2, 2, 2), (26, 178, 190, 73, 136, 381, 441, 455, 91, 313, 373, 450, 453, 668)),
         # Impacts that die out beside a mass that comes to rest, or that sticks in each flight.
         # Two frictions and two walls that bear one load, in several shares.
         pytest.param(
