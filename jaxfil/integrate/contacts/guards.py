@@ -100,6 +100,26 @@ def stays_on(system: ComponentSystem, mode: Components) -> Components:
     return slides | unilateral.rests_of(mode) if system.resets else slides
 
 
+def with_rounding_of_held(
+    system: ComponentSystem, mode: Components, normals: Rows, *noises: Components
+) -> list[Components]:
+    """The rounding of each H, with what the surfaces that the motion stays on add to it. A
+    projection onto one of these moves the state by its rounding, and so another H, such as a distance
+    that is zero beside large ones."""
+    held = stays_on(system, mode)
+
+    def found(normals: Rows, *noises: Components) -> list[Components]:
+        # A component of the move along ∇H_k is |∇H_j·∇H_k| h_k/|∇H_k|².
+        products, squares = abs(normals.products(normals)), normals.squares()
+        parts = [where(held, v / where(squares == 0, 1.0, squares), 0.0) for v in noises]
+        return [where(held, v, v + products @ own) for v, own in zip(noises, parts, strict=True)]
+
+    def same(normals: Rows, *noises: Components) -> list[Components]:
+        return list(noises)
+
+    return system.where_any(any_of(held), found, same, stop_gradient(normals), *noises)
+
+
 def guards(
     system: ComponentSystem,
     t: Array,

@@ -20,7 +20,7 @@ from jaxfil.xla.select import select
 
 
 def as_planned(state: LoopState, choice: Decision, later: Components | None) -> Decision:
-    """The decision, or that of the switch before if this one carries out the rest of it. No map is
+    """The decision, or the switch before's if this one carries out the rest of it. No map is
     applied then, and the state is the same, but a surface may need a reset in the modes since."""
     pending = state.pending
     if pending.planned is None:

@@ -25,6 +25,7 @@ from jaxfil.integrate.contacts.guards import (
     stays_on,
     surface_noise,
     unguarded,
+    with_rounding_of_held,
 )
 from jaxfil.integrate.contacts.in_turn import as_planned, in_turn
 from jaxfil.integrate.contacts.maps import Maps, mapped, ticked
@@ -67,6 +68,12 @@ def _surfaces_at(
     gathered = surface_noise(system, t, x, scale, h_t, normals)
     if system.slides:
         gathered = select(problem.grid.direction < 0, _BACKWARD, 1.0) * gathered
+    if (
+        are_coupled(system)
+        and (system.slides or system.resets)
+        and system.structure.members is None
+    ):
+        noise, gathered = with_rounding_of_held(system, state.motion.mode, normals, noise, gathered)
     same = problem.same_time(state.motion.tau)
     # H has jumped by more than the rounding of times explains.
     away = abs(h) > gathered + 2 * same * abs(stop_gradient(state.motion.rate))

@@ -235,10 +235,10 @@ class StepEnd(eqx.Module):
     again: Array | None
     """Whether all other surfaces need another switch, after a jump; None without jumps."""
     plan: Components | None
-    """The mode in which the next switch leaves the motion, if it needs no other decision; None
-    without `again`."""
+    """The mode decided here, of which the next switch carries out the rest; None without
+    `again`."""
     planned: Array | None
-    """Whether it needs none."""
+    """Whether `plan` is the next switch's mode."""
     ticks: Array | None
     """Whether the tick of another clock follows at the same time; None without several clocks."""
     misfit: Array | None

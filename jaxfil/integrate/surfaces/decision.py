@@ -148,7 +148,7 @@ def _try(question: Question, found: _Found, candidate: Components, rounds: Array
         new = ok & ((found.count == 0) | apart)
         velocity = where(first, made.f, found.velocity)
         if question.walls is not None and question.kept is not None and question.now is not None:
-            # Of several shares of one load between frictions and walls, that of the mode before.
+            # Of several shares of one load between frictions and walls, the mode before has one.
             taken = taken | (ok & ~apart & ~any_of(question.kept & (mode != question.now)))
     # A combination that holds only to within rounding is the same motion to that order.
     new = new & ((rounds < 2) | first)

@@ -128,3 +128,63 @@ def test_a_wall_bears_what_a_friction_cannot():
     # Two that lie still all the time have no event.
     idle = jnp.array([1, 5])
     assert (events[idle] == 0).all() and (jnp.delete(events, idle) > 0).all()
+
+
+class Leaning(jf.System):
+    """A mass under a load -2 sin t that rubs on the ground and lies against a wall and against a
+    second mass of 2, which rubs on the ground too."""
+
+    limits: jax.Array
+    sign: jax.Array
+    "The direction in which the velocity of the first mass is counted."
+    restitution: jax.Array
+
+    def vector_field(self, t, x, side):
+        first = -2.0 * jnp.sin(t) - self.limits[0] * self.sign * side[0]
+        return jnp.stack([x[2], x[3], first, -0.5 * self.limits[1] * side[1]])
+
+    def switching(self, t, x):
+        return jnp.stack([self.sign * x[2], x[3], x[0] - x[1] - 1.0, x[0]])
+
+    def reset(self, t, x, surface):
+        e = self.restitution
+        # The change of the velocity of their distance, shared as 1/m.
+        change = -(1 + e) * (x[2] - x[3])
+        apart = x.at[2].add(2 / 3 * change).at[3].add(-1 / 3 * change)
+        off = jnp.where(surface == 3, x.at[2].multiply(-e), x)
+        return jnp.where(surface == 2, apart, off)
+
+
+@pytest.mark.slow
+def test_either_of_two_bears_what_a_friction_cannot():
+    """The first mass lies still until the load turns and exceeds its friction. Meanwhile the wall
+    bears the rest of the load, or the second mass if its friction can."""
+    limits = jnp.array([[1.0, 2.2], [1.0, 0.3], [1.0, 2.2], [0.8, 0.3], [0.8, 1.3], [1.0, 0.3]])
+    signs = jnp.array([1.0, -1.0, -1.0, 1.0, -1.0, 1.0])
+    restitutions = jnp.array([0.0, 0.0, 0.3, 0.3, 0.0, 0.6])
+
+    @jax.jit
+    @jax.vmap
+    def end(limits, sign, e):
+        def at_the_end(first):
+            system = Leaning(limits.at[0].set(first), sign, e)
+            x0 = jnp.array([0.0, -1.0, 0.0, 0.0])
+            sol = jf.solve(system, x0, 0.0, 4.5, 0.05, max_events=16, throw=False)
+            return sol.x_final, (sol.result, sol.num_events)
+
+        return jax.jvp(at_the_end, (limits[0],), (1.0,), has_aux=True)
+
+    def exact(limit):
+        since = jnp.pi + jnp.arcsin(limit / 2)
+        time = 4.5 - since
+        v = 2 * (jnp.cos(4.5) - jnp.cos(since)) - limit * time
+        x = 2 * (jnp.sin(4.5) - jnp.sin(since) - jnp.cos(since) * time) - limit * time**2 / 2
+        return jnp.stack([x, 0 * x - 1, v, 0 * v])
+
+    found, slopes, (results, events) = end(limits, signs, restitutions)
+    assert (outcome_names(results) == "successful").all()
+    np.testing.assert_allclose(found, jax.vmap(exact)(limits[:, 0]), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(
+        slopes, jax.vmap(jax.jacfwd(exact))(limits[:, 0]), rtol=0, atol=1e-13
+    )
+    assert (events <= 10).all()
