@@ -103,9 +103,11 @@ def stays_on(system: ComponentSystem, mode: Components) -> Components:
 def with_rounding_of_held(
     system: ComponentSystem, mode: Components, normals: Rows, *noises: Components
 ) -> list[Components]:
-    """The rounding of each H, with what the surfaces that the motion stays on add to it. A
-    projection onto one of these moves the state by its rounding, and so another H, such as a distance
-    that is zero beside large ones."""
+    """The rounding of each H, with what the surfaces that the motion stays on add to it.
+
+    A projection onto one of these moves the state by its rounding, and so another H, such as a
+    distance that is zero beside large ones.
+    """
     held = stays_on(system, mode)
 
     def found(normals: Rows, *noises: Components) -> list[Components]:
