@@ -147,12 +147,11 @@ def _try(question: Question, found: _Found, candidate: Components, rounds: Array
         apart = are_apart(made, Velocity(found.velocity, abs(found.velocity)))
         new = ok & ((found.count == 0) | apart)
         velocity = where(first, made.f, found.velocity)
-        if question.walls is not None and question.kept is not None and question.now is not None:
+        shared = question.walls is not None and question.slides
+        if shared and question.kept is not None and question.now is not None:
             # Of several shares of one load between frictions and walls, the mode before has one.
-            goes_on, went_on = (
-                ~any_of(question.kept & (v != question.now)) for v in (mode, found.mode)
-            )
-            taken = taken | (ok & ~apart & goes_on & ~went_on)
+            # Of several of these the last one is taken, in which the most surfaces slide.
+            taken = taken | (ok & ~apart & ~any_of(question.kept & (mode != question.now)))
     # A combination that holds only to within rounding is the same motion to that order.
     new = new & ((rounds < 2) | first)
     return _Found(
