@@ -202,7 +202,7 @@ def _continues(
     small = NOISE * eps * scale
     flat = abs(rate) <= small
     # By their own forces or by those of reactions, which cancel where a wall holds the same rate.
-    governed = is_governed(sides, rates, w, small)
+    governed = steers = is_governed(sides, rates, w, small)
     if rests is not None:
         governed = governed | is_governed(sides, question.rates, w, small)
     outward = sides * direction * rate
@@ -210,9 +210,11 @@ def _continues(
     leaves = (outward > question.threshold * scale) | (rounded & lenient)
     # At w = ±1 both the slide and its side hold, and the next derivative decides. The slide is
     # preferred: it ends at once if its weight leaves [−1, 1], whereas a wrong side would be
-    # detected late. Where a reaction holds the state, no side moves it. A motion that dψ/dt keeps
+    # detected late. Where a reaction holds this rate, no side moves it. A motion that dψ/dt keeps
     # on its side has no slide there that could end.
-    edge = rounded & ~stays if rests is None else rounded & ~stays & ~any_of(rests)
+    edge = rounded & ~stays
+    if rests is not None:
+        edge = edge & (steers | ~any_of(rests))
     solved, turned = flat & governed, None
     if following is not None:
         turned = _turned(question, following, force, sides, w, rounds)
@@ -233,7 +235,7 @@ def _continues(
         # A slide that has ended at its side, at this time, does not begin again there; if a wall
         # bears the load from then on, the motion stays on that side.
         ended = question.kept & question.leaves & (abs(question.now) == 1)
-        borne = flat & ~is_governed(sides, rates, w, small) & any_of(rests)
+        borne = flat & ~steers & any_of(rests)
         leaves = leaves | (ended & borne & (sides == question.now))
         if following is not None:
             again = ended & (sides == 0) & (w * question.now > 1 - NOISE * eps)
