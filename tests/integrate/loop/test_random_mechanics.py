@@ -65,7 +65,25 @@ def test_all_problems_are_answered():
         # mass begins to move. Of seed 1: either of two walls that bear what a friction cannot.
         (
             (2, 2, 2),
-            (26, 178, 190, 73, 136, 381, 441, 455, 91, 313, 373, 450, 453, 668, (1, 125), (1, 284)),
+            (
+                26,
+                178,
+                190,
+                73,
+                136,
+                381,
+                441,
+                455,
+                91,
+                313,
+                373,
+                450,
+                453,
+                668,
+                194,
+                (1, 125),
+                (1, 284),
+            ),
         ),
         # Impacts that die out beside a mass that comes to rest, or that sticks in each flight.
         # Two frictions and two walls that bear one load, in several shares.
