@@ -170,7 +170,7 @@ def test_either_of_two_bears_what_a_friction_cannot():
             system = Leaning(limits.at[0].set(first), sign, e)
             x0 = jnp.array([0.0, -1.0, 0.0, 0.0])
             sol = jf.solve(system, x0, 0.0, 4.5, 0.05, max_events=16, throw=False)
-            return sol.x_final, (sol.result, sol.num_events)
+            return sol.x_final, sol.result
 
         return jax.jvp(at_the_end, (limits[0],), (1.0,), has_aux=True)
 
@@ -181,10 +181,9 @@ def test_either_of_two_bears_what_a_friction_cannot():
         x = 2 * (jnp.sin(4.5) - jnp.sin(since) - jnp.cos(since) * time) - limit * time**2 / 2
         return jnp.stack([x, 0 * x - 1, v, 0 * v])
 
-    found, slopes, (results, events) = end(limits, signs, restitutions)
+    found, slopes, results = end(limits, signs, restitutions)
     assert (outcome_names(results) == "successful").all()
     np.testing.assert_allclose(found, jax.vmap(exact)(limits[:, 0]), rtol=0, atol=1e-14)
     np.testing.assert_allclose(
         slopes, jax.vmap(jax.jacfwd(exact))(limits[:, 0]), rtol=0, atol=1e-13
     )
-    assert (events <= 10).all()
