@@ -199,9 +199,9 @@ def _held(
         # The state stays on the surfaces that it slides on, or has reached at the limit. One that
         # is brought to rest by impulses alone would leave a friction that holds it.
         slid = ((state.motion.mode == 0) | (limit & ~seen.effect.throws_back)) & ~at.off
-        directions = by.directions.where_each(slid, at.normals)
+        directions = at.normals.where_each(slid, by.directions)
         by = unilateral.Response(directions, c.gradients.products(directions))
-        gains = c.gradients.where_each(slid, at.normals).products(directions)
+        gains = at.normals.where_each(slid, c.gradients).products(directions)
         on, rate = rests | slid, where(rests, c.rate, 0.0)
     else:
         gains = by.gains

@@ -79,13 +79,12 @@ class Rows:
         each = zip(chosen, self.rows, other.rows, strict=True)
         return Rows(own if flag else others for flag, own, others in each)
 
-    def where_each(self, flags: Components, other: "Rows") -> "Rows":
-        """The rows of another matrix where the flags of a lane are set, and its own elsewhere;
-        neither may have `members`."""
+    def where_each(self, chosen: Components, other: "Rows") -> "Rows":
+        """`where` for the flags of a lane; neither may have `members`."""
         if self.is_array:
-            return Rows.array(select(flags.parts[0][:, None], other._array, self._array))
-        each = zip(flags.parts, other.rows, self.rows, strict=True)
-        return Rows(where(flag, others, own) for flag, others, own in each)
+            return Rows.array(select(chosen.parts[0][:, None], self._array, other._array))
+        each = zip(chosen.parts, self.rows, other.rows, strict=True)
+        return Rows(where(flag, own, others) for flag, own, others in each)
 
     def __matmul__(self, v: Components) -> Components:
         """The product of each row with a vector."""
