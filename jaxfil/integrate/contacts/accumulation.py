@@ -209,9 +209,12 @@ def _turned(
     copy = _copied(problem, state, end, reset)
     if copy is not None:
         agrees = agrees & _is_alike(problem, copy, turn.limit, apart)
-    # A limit within the rounding of times is reached, whether predictions agree or not.
-    completed = shrinks & (agrees | (left <= same) & (late <= same)) & clear
-    soon = left <= problem.system.eps**0.5 * typical_step(problem, state)
+    # A limit within the rounding of times is reached, whether predictions agree or not, unless the
+    # turn before was long. A second contact at one time but for rounding has no ratio to it.
+    brief = problem.system.eps**0.5 * typical_step(problem, state)
+    reached = (left <= same) & (late <= same) & (turn.length <= brief)
+    completed = shrinks & (agrees | reached) & clear
+    soon = left <= brief
     if _is_watched(problem):
         # States within the time of the jump would be computed from the last contact.
         completed = completed & soon

@@ -18,7 +18,13 @@ from scipy.linalg import expm
 
 import jaxfil as jf
 from jaxfil import EventKind
-from tests.results import assert_derivatives, assert_within, by_imaginary_part, kinds_of
+from tests.results import (
+    assert_derivatives,
+    assert_within,
+    by_imaginary_part,
+    kinds_of,
+    outcome_names,
+)
 
 EPS = np.finfo(float).eps
 OPTIONS = dict(stepper=jf.RK4(), compact=True, max_events=16, throw=False)
@@ -293,3 +299,47 @@ def test_the_limit_of_turns_on_a_step_has_its_derivatives():
     lanes = [[5.0, 3.0, x, dt] for dt in (0.05, 0.1, 0.07) for x in (1.0, 4.0, 2.0)]
     # 1e-11: the last turns have the rounding of the first, and rates that grow as they shorten.
     assert_derivatives(limit, twisting_time, lanes, 2**16, order=1)
+
+
+class Cradle(jf.System):
+    """Three equal pendulums that hang beside each other; neighbours throw each other back."""
+
+    e: jax.Array
+    slides: ClassVar[bool] = False
+
+    def vector_field(self, t, x, side):
+        return jnp.concatenate([x[3:], -x[:3]])
+
+    def switching(self, t, x):
+        return x[1:3] - x[:2]
+
+    def reset(self, t, x, surface):
+        push = 0.5 * (1 + self.e) * jnp.diff(x[3:])[surface]
+        number = jnp.arange(3, dtype=jnp.int32)
+        sign = jnp.where(number == surface, 1.0, jnp.where(number == surface + 1, -1.0, 0.0))
+        return jnp.concatenate([x[:3], x[3:] + push * sign])
+
+
+def collided(v, e, first):
+    """The velocities after contacts of neighbours at one time, from the pair `first` on."""
+    v = v.copy()
+    while any(v[:2] > v[1:] + 4 * EPS):
+        pair = first if v[first] > v[first + 1] + 4 * EPS else 1 - first
+        push = 0.5 * (1 + e) * (v[pair + 1] - v[pair])
+        v[pair : pair + 2] += push, -push
+        first = 1 - pair
+    return v
+
+
+@pytest.mark.parametrize("e", [0.5, 0.8, 0.95])
+def test_a_few_contacts_at_one_time_are_no_accumulation(e):
+    """All flights last π. Two contacts of one pair at one time come after a long flight, and no
+    third one."""
+    start, method = [-1.0, -1.0, 0.0, 0.0, 0.0, 0.0], diffrax.Dopri8()
+    sol = solve(Cradle(jnp.asarray(e)), start, 6.0, dt=0.05, stepper=method)
+    v = collided(np.array([1.0, 1.0, 0.0]), e, 1)
+    # Which of two pairs that meet at one time is first is left to rounding.
+    ends = [collided(-v, e, first) for first in (0, 1)]
+    wants = [np.append(u * np.sin(6 - 1.5 * np.pi), u * np.cos(6 - 1.5 * np.pi)) for u in ends]
+    assert outcome_names(sol.result) == "successful"
+    assert min(np.max(abs(sol.x_final - want)) for want in wants) <= 64 * EPS
