@@ -75,8 +75,10 @@ def _surfaces_at(
     ):
         noise, gathered = with_rounding_of_held(system, state.motion.mode, normals, noise, gathered)
     same = problem.same_time(state.motion.tau)
-    # H has jumped by more than the rounding of times explains.
-    away = abs(h) > gathered + 2 * same * abs(stop_gradient(state.motion.rate))
+    # H has jumped by more than the rounding of times explains. The guard of a slide or a rest is
+    # not H, and its rate may be anything where the state has been moved off the surface.
+    rate = where(stays_on(system, state.motion.mode), 0.0, stop_gradient(state.motion.rate))
+    away = abs(h) > gathered + 2 * same * abs(rate)
     off, something = pending.waits & pending.across & away, pending.waits & pending.jumped
     if maps.h is not None:
         # A map must have changed H itself; rounding of an unchanged H does not leave its surface.

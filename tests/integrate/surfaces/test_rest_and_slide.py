@@ -374,3 +374,42 @@ def test_a_slider_beside_a_stop_holds_with_it():
     lanes = [[0.5, 1.0, 1.0, 0.8], [0.9, 1.5, 1.0, 0.3], [0.0, 0.6, 2.0, 0.9]]
     lanes += [[2.0, 0.3, 0.5, 0.4], [3.0, 0.5, 1.0, 2.0]]
     assert_derivatives(end, exact, lanes, 256, order=1)
+
+
+class Carriage(jf.System):
+    """A mass that rubs on the ground between the walls of a carriage at −cos t, which push it."""
+
+    F: jax.Array
+    e: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -self.F * side[0]])
+
+    def switching(self, t, x):
+        carriage = -jnp.cos(t)
+        return jnp.stack([x[1], x[0] - carriage + 0.3, carriage + 0.3 - x[0]])
+
+    def reset(self, t, x, surface):
+        speed = jnp.sin(t)
+        return jnp.where(surface == 0, x, x.at[1].set(speed - self.e * (x[1] - speed)))
+
+
+@pytest.mark.parametrize("t1", [4.5, 5.7])
+def test_a_wall_that_moves_takes_a_stuck_mass_along(t1):
+    """The right wall hits the mass at rest at 5/6, and pushes it until its acceleration cos t is
+    that of the friction, F. From there the mass flies, and slows down."""
+
+    def run(F):
+        return solve(Carriage(F, jnp.zeros(())), [-1.0, 0.0], t1, dt=0.02)
+
+    def exact(F):
+        off = 2 * jnp.pi - jnp.arccos(F)
+        x, v, flight = 0.3 - F, jnp.sin(off), t1 - off
+        pushed = jnp.stack([0.3 - jnp.cos(t1), jnp.sin(t1)])
+        flies = jnp.stack([x + v * flight + F * flight**2 / 2, v + F * flight])
+        return jnp.where(t1 < off, pushed, flies)
+
+    sol, F = run(jnp.asarray(0.6)), jnp.asarray(0.6)
+    assert outcome_names(sol.result) == "successful"
+    assert_within(sol.x_final, exact(F), 1e-13)
+    assert_within(jax.jacfwd(lambda F: run(F).x_final)(F), jax.jacfwd(exact)(F), 1e-12)
