@@ -293,8 +293,10 @@ def _kinds_of_end(
     if problem.same_end is not None:
         beside = beside | (size <= problem.same_end)
     at_end = last & beside & ~bound & ~touch
-    # With several surfaces, contacts within the rounding of times are reached together.
-    loose = bound | (system.m > 1)
+    # With several surfaces, contacts within the rounding of times are reached together, and a state
+    # saved at the time of a contact is the one after it. At a grid point one contact keeps its
+    # time, however close.
+    loose = bound | (system.m > 1) | length.saving | last
     reached = (size <= same) & (inside | zero | loose) | (length.cutting & close & inside)
     reached = reached | (at_end & close)
     # The contact aimed at is here, with δ = 0, if rounding hides the remaining time, or if the step

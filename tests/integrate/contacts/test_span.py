@@ -563,3 +563,25 @@ def test_a_run_goes_on_at_rest_on_a_curved_wall():
     after, whole = run(first.x_final, 9 * T, 10 * T), run(jnp.zeros(3), 0.0, 10 * T)
     assert after.mode_final.tolist() == whole.mode_final.tolist() == [2]
     np.testing.assert_allclose(after.x_final, whole.x_final, rtol=1e-13)
+
+
+def test_states_saved_at_the_times_of_impacts_are_those_after_them():
+    """Of one surface too, whatever the rounding of the times."""
+    draw, n = np.random.default_rng(5), 32
+    g, e = draw.uniform(0.5, 9.0, n), draw.uniform(0.5, 0.95, n)
+    first = np.sqrt(2 / g)
+    # The k-th impact is 2 e + … + 2 eᵏ⁻¹ falls after the first one.
+    times = first[:, None] * (1 + 2 * np.cumsum(e[:, None] ** np.arange(1, 6), axis=1))
+
+    @jax.jit
+    @jax.vmap
+    def saved(g, e, ts):
+        options = OPTIONS | dict(saveat=diffrax.SaveAt(ts=ts), max_events=64)
+        return jf.solve(Drop(g, e), jnp.array([1.0, 0.0]), 0.0, ts[-1], 0.05, **options)
+
+    # First at times in closed form, then at those that the runs have found.
+    for ts in (times, np.asarray(saved(g, e, times).events.ts)[:, 1:6]):
+        sols = saved(g, e, ts)
+        assert set(outcome_names(sols.result)) == {"successful"}
+        after = (e[:, None] ** np.arange(2, 7)) * (g * first)[:, None]
+        assert_within(np.asarray(sols.xs)[..., 1], after, 1e-11)
