@@ -65,8 +65,6 @@ class Judgement(eqx.Module):
     """Number of consecutive rejections, if this step is rejected."""
     repeats: Array
     """Number of consecutive contacts at one time, including the one switched here."""
-    hidden: Array
-    """Whether the flight between the last two contacts is hidden by rounding."""
 
 
 def judged(
@@ -87,14 +85,13 @@ def judged(
     # A shorter flight is indistinguishable from the time correction at its end.
     tau, repeats = end.motion.tau, state.pending.repeats
     flight = abs(tau - state.pending.tau)
-    again, hidden = flight <= 4 * problem.same_time(tau), jnp.zeros((), bool)
+    again = flight <= 4 * problem.same_time(tau)
     # A tick that reaches no surface is no contact, and each clock has a single tick at a time.
     reached = any_of(state.pending.surfaces)
     if problem.system.resets and problem.system.m > 1:
         # The same holds for a flight that moves no further from its surface than rounding.
         low = flight * abs(state.motion.rate) <= _LOW * state.motion.noise
-        hidden = ~again & reached & ~any_of(state.pending.surfaces & ~low)
-        again = again | hidden
+        again = again | (reached & ~any_of(state.pending.surfaces & ~low))
     return Judgement(
         end=end,
         contact=contact,
@@ -102,7 +99,6 @@ def judged(
         doubt=doubted(problem, state, length, trial, end, infinite),
         rejections=select(contact.found, state.search.rejections + 1, 0),
         repeats=select(waits, select(again, repeats + reached.astype(repeats.dtype), 0), repeats),
-        hidden=hidden,
     )
 
 
@@ -147,8 +143,9 @@ def _failures(
     limit = no if state.turn is None else state.turn.completed & waits
     chain = _CHAIN if system.resets and system.m > 1 else _FROZEN + 2 * system.m
     full = no if most is None else _is_event(state, end) & (state.counts.num_events >= most)
-    # If the table is full of contacts whose flights are hidden by rounding, they accumulate.
-    many = full & judgement.hidden & (judgement.repeats >= _FROZEN)
+    # If the table ends with many contacts at one time, or with flights hidden by rounding, they
+    # accumulate. Surfaces that reset each other a few times each need no more than this number.
+    many = full & (judgement.repeats >= _FROZEN + 2 * system.m)
     lost = (undecided & ~limit) | (judgement.rejections > _TRIES)
     return [
         (RESULTS.nonfinite, judgement.doubt.infinite),

@@ -390,3 +390,10 @@ def test_a_start_on_the_threshold_fires_whatever_the_sign_of_h():
     sols = jax.vmap(run)(starts, signs)
     assert_within(sols.x_final[:, 0], np.full(4, 1.5 * (1 - np.exp(-0.5))), 1e-11)
     assert_array_equal(sols.num_events, 1)
+
+
+@pytest.mark.parametrize("max_events", [64, 1024])
+def test_an_endless_avalanche_is_zeno_in_a_table_of_any_size(max_events):
+    sol = solve(Pair(jnp.asarray(1.2)), [0.0, 0.0], 2.0, max_events=max_events)
+    assert jf.RESULTS.names(sol.result) == "zeno"
+    assert_within(sol.t_final, 1.0, 8 * EPS)
