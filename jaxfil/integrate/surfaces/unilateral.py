@@ -44,6 +44,7 @@ from jaxfil.integrate.system.components import (
     all_finite,
     any_of,
     dot,
+    largest,
     side_of,
     where,
 )
@@ -103,13 +104,13 @@ def constraints(system: ComponentSystem, t: Array, x: Components, sides: Compone
     """The surfaces as constraints at (t, x), for a motion on `sides`."""
     rate, pull = jax.vjp(lambda x: contact_rates(system, t, x, sides), x)
     gradients = system.rows_of(pull)
-    direction = ft.partial(_direction, system, t, x)
+    direction, (_, _, normals) = ft.partial(_direction, system, t, x), system.gradients(t, x)
     if gradients.is_array:
         numbers = jnp.arange(system.m, dtype=jnp.int32)
-        given = sides.parts[0], rate.parts[0], gradients.rows[0], numbers
+        given = sides.parts[0], rate.parts[0], gradients.rows[0], normals.rows[0], numbers
         directions = Rows.array(jax.vmap(direction)(*given).parts[0])
     else:
-        each = zip(sides.parts, rate.parts, gradients.rows, strict=True)
+        each = zip(sides.parts, rate.parts, gradients.rows, normals.rows, strict=True)
         directions = Rows([direction(*of_j, j) for j, of_j in enumerate(each)])
     impulse = Response(directions, gradients.products(directions))
     reaction = impulse
@@ -190,9 +191,11 @@ def _direction(
     side: Array,
     rate: Array,
     gradient: Components,
+    normal: Components,
     j: int | Array,
 ) -> Components:
-    """d_j, from the derivative of the reset along y = ∇ψ_j at an incoming state."""
+    """d_j, from the derivative of the reset along y = ∇ψ_j at an incoming state; 0 where the reset
+    does not throw back."""
     size = dot(gradient, gradient)
     inverse = select(size > 0, 1 / select(size > 0, size, 1), 0.0)
     # The reset may be defined only for incoming states, so it is differentiated at one. The state
@@ -203,15 +206,46 @@ def _direction(
     depth = stop_gradient(_NOISE * system.eps * terms + least + side * rate)
     moving = x + -side * depth * stop_gradient(inverse) * stop_gradient(gradient)
     reset = ft.partial(system.reset, t, surface=jnp.int32(j))
-    _, moved = jax.linearize(reset, moving)
+    thrown, moved = jax.linearize(reset, moving)
     push = moved(gradient) - gradient
     again, own = moved(push) - push, dot(gradient, push)
     known = own != 0
     # 1 + e_j, by which a state that has been pushed comes back.
     gain = -dot(gradient, again) / select(known, own, 1)
     direction = push * select(known, gain / select(known, own, 1), 0)
+    (after,) = jax.linear_transpose(moved, moving)(gradient)
+    known = stop_gradient((gain - 1, rate, x, moving, thrown, gradient, after, normal))
+    reflects = _reflects(*known, eps=system.eps)
     # A reset may be undefined far from its contacts, where no motion feels it.
-    return where(all_finite(direction), direction, 0.0)
+    return where(all_finite(direction) & reflects, direction, 0.0)
+
+
+def _reflects(
+    e: Array,
+    rate: Array,
+    x: Components,
+    before: Components,
+    after: Components,
+    gradient: Components,
+    pulled: Components,
+    normal: Components,
+    eps: float,
+) -> Array:
+    """Whether ψ after a reset is −e times ψ before it, in a state that may rest and in others on
+    the surface, given (D reset)ᵀ ∇ψ; true where the state is too fast to rest.
+
+    A switch that stops the flow to a level has the derivative of a wall with e = 0. After it ψ is
+    the rate of the other flows, and no reaction keeps it zero.
+    """
+    came, went = (rate + dot(gradient, state - x) for state in (before, after))
+    terms = dot(abs(gradient), abs(x) + abs(before) + abs(after))
+    # States on the surface differ in directions orthogonal to ∇H.
+    other, square = pulled + e * gradient, dot(normal, normal)
+    other = other - dot(other, normal) / select(square > 0, square, 1) * normal
+    alike = ~any_of(abs(other) > eps**0.5 * largest(abs(pulled) + abs(gradient)))
+    # Faster states are moved so far in order to arrive slowly that curvature counts.
+    fast = abs(rate) > eps**0.75 * terms
+    return fast | (alike & (abs(went + e * came) <= eps**0.5 * terms))
 
 
 def accelerations(

@@ -98,3 +98,36 @@ def test_a_run_from_just_after_the_passage_is_the_rest_of_the_run(system, x0, cu
     rest = jf.solve(system, jnp.array(after), cut, t1, 0.07)
     np.testing.assert_allclose(whole.x_final, end, rtol=0, atol=1e-13)
     np.testing.assert_allclose(rest.x_final, end, rtol=0, atol=1e-13)
+
+
+class Filled(jf.System):
+    """A pump fills a tank until a float turns it off at a level of 1. At t = 2 another inflow
+    begins, b' = a − b, a' = −a, which the float cannot stop."""
+
+    pump: jax.Array
+    product: bool = eqx.field(static=True)
+
+    def vector_field(self, t, x, side):
+        on = x[3] if self.product else jnp.where(x[3] > 0.5, 1.0, 0.0)
+        return jnp.stack([-x[0], x[0] - x[1], self.pump * on + x[1], 0 * t])
+
+    def switching(self, t, x):
+        return 1 - x[2]
+
+    def reset(self, t, x, surface):
+        return x.at[3].set(0.0)
+
+    def tick(self, t, x, clock):
+        return x.at[0].add(1.0)
+
+    @property
+    def clocks(self):
+        return (jf.Clock(10.0, 2.0),)
+
+
+@pytest.mark.parametrize("product", [True, False])
+def test_a_float_switch_is_no_wall(product):
+    """By its derivative the reset is that of a wall without restitution, which no water presses."""
+    sol = jf.solve(Filled(jnp.array(0.8), product), jnp.array([0.0, 0.0, 0.0, 1.0]), 0.0, 4.0, 0.1)
+    a, b = np.exp(-2.0), 2 * np.exp(-2.0)
+    np.testing.assert_allclose(sol.x_final, [a, b, 2 - a - b, 0.0], rtol=0, atol=1e-13)
