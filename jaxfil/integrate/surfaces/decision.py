@@ -218,10 +218,6 @@ def _continues(
     solved, turned = flat & governed, None
     if following is not None:
         turned = _turned(question, following, force, sides, w, rounds)
-        if question.kept is not None and question.now is not None:
-            # A surface that has just been left, at the end of its slide, is not slid on again
-            # because another one is left at the same time.
-            edge = edge & ~(question.kept & (sides == question.now) & turned & question.leaves)
     stands = rounds == 2
     if not question.slides:
         stands = stands | _is_held(question, following, force, sides, w)
@@ -232,11 +228,8 @@ def _continues(
         leaves = where(flat & ~governed, turned & question.leaves, leaves)
         solved = solved | (flat & held_too)
     if rests is not None and question.kept is not None and question.now is not None:
-        # A slide that has ended at its side, at this time, does not begin again there; if a wall
-        # bears the load from then on, the motion stays on that side.
+        # A slide that has ended at its side, at this time, does not begin again there.
         ended = question.kept & question.leaves & (abs(question.now) == 1)
-        borne = flat & ~steers & any_of(rests)
-        leaves = leaves | (ended & borne & (sides == question.now))
         if following is not None:
             again = ended & (sides == 0) & (w * question.now > 1 - NOISE * eps)
             beside = where(again, question.now, sides)
