@@ -9,6 +9,7 @@ so that one program serves all modes. F is the blend of `integrate.surfaces.fili
 functions that JAX may differentiate any number of times, in either direction.
 """
 
+import dataclasses
 import functools as ft
 from collections.abc import Callable
 
@@ -185,6 +186,12 @@ class Linearised(eqx.Module):
     """The diagonal matrix of ones for components that only events change, as a latch."""
     approach: Approach
     """The motion across the sliding surfaces."""
+
+    def moving(self) -> "Linearised":
+        """The same with a fast decay of the components that only events change, so that their zeros
+        are among the infinite eigenvalues."""
+        decay = self.shift * self.constants
+        return dataclasses.replace(self, deflated=self.deflated - decay)
 
 
 def linearise(balance: Balance, z: Float[Array, " N"]) -> Linearised:

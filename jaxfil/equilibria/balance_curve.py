@@ -44,6 +44,8 @@ class _Known(eqx.Module):
     margins: Float[Array, " m"]
     noise: Float[Array, " m"]
     eigenvalues: Complex[Array, " n"]
+    moving: Complex[Array, " n"]
+    """The same, with −∞ for components that only events change."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -94,7 +96,9 @@ def _solve(varied: Varied, u: Array, constraint: ArclengthConstraint, newton_ste
 
     root = newton(evaluate, u, newton_steps)
     balance, z = varied.at(root.z)
-    known = _Known(balance.margins(z), balance.noise(z), eigenvalues_of(linearise(balance, z)))
+    flow = linearise(balance, z)
+    eigenvalues = eigenvalues_of(flow), eigenvalues_of(flow.moving())
+    known = _Known(balance.margins(z), balance.noise(z), *eigenvalues)
     return dataclasses.replace(root, at=dataclasses.replace(root.at, aux=known))
 
 
@@ -264,7 +268,7 @@ def _fold(point: EquilibriumPoint) -> float:
 
 
 def _finite(point: EquilibriumPoint) -> np.ndarray:
-    values = np.asarray(point.known.eigenvalues)
+    values = np.asarray(point.known.moving)
     return values[np.isfinite(np.real(values))]
 
 

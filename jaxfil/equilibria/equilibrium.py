@@ -1,6 +1,5 @@
 """`Equilibrium`: an equilibrium of a system, with margins, kind, eigenvalues and stability."""
 
-import dataclasses
 import functools as ft
 from collections.abc import Callable
 from typing import Any
@@ -80,7 +79,12 @@ class Equilibrium(eqx.Module):
     def stable(self) -> Bool[Array, "*batch"]:
         """Whether it belongs to the system and all eigenvalues have negative real parts, except the
         0 of a component of the state that only events change, as a latch."""
-        return self.admissible & self._of(_attracts)
+        return self.admissible & self.attracts
+
+    @property
+    def attracts(self) -> Bool[Array, "*batch"]:
+        """Whether the field of its mode attracts to it, as in `stable`."""
+        return self._of(_attracts)
 
     @property
     def kind(self) -> str | np.ndarray:
@@ -132,10 +136,7 @@ def _eigenvalues(at: Equilibrium) -> Array:
 
 @eqx.filter_jit
 def _attracts(at: Equilibrium) -> Array:
-    flow = linearise(*_balance(at))
-    # With a decay of each component that would be constant.
-    decays = dataclasses.replace(flow, deflated=flow.deflated - flow.constants)
-    return jnp.all(jnp.real(eigenvalues_of(decays)) < 0)
+    return jnp.all(jnp.real(eigenvalues_of(linearise(*_balance(at)).moving())) < 0)
 
 
 def eigenvalues_of(flow: Linearised) -> Complex[Array, " n"]:

@@ -70,8 +70,9 @@ class EquilibriumBranch(eqx.Module):
 
     @property
     def stable(self) -> Bool[np.ndarray, " k"]:
-        """Whether each equilibrium is stable: all eigenvalues have negative real parts."""
-        return np.all(np.real(self.eigenvalues) < 0, axis=-1)
+        """Whether each equilibrium is stable: all eigenvalues have negative real parts, except the
+        0 of a component of the state that only events change, as a latch."""
+        return np.asarray(self.equilibria.attracts)
 
     def at(self, value: float) -> list[Equilibrium]:
         """The equilibria of the branch at a value of the parameter, in its order."""

@@ -230,3 +230,24 @@ def test_a_branch_ends_where_a_rest_would_be_felt_by_the_field():
     assert_allclose(branch.values[[0, -1]], [0.5, 0.0], **CLOSE)
     assert branch.ended[1].startswith("the boundary at surface 0 was met at ")
     assert np.all(branch.equilibria.mode == 1)
+
+
+class Latched(jf.System):
+    """x″ = μ x′ − x − x′³ beside memories that nothing changes."""
+
+    mu: jax.Array
+
+    def vector_field(self, t, x, side):
+        still = jnp.zeros_like(x[2:])
+        return jnp.concatenate([jnp.stack([x[1], self.mu * x[1] - x[0] - x[1] ** 3]), still])
+
+
+@pytest.mark.parametrize("memories", [1, 2])
+def test_memories_are_no_eigenvalues_of_a_branch(memories):
+    system, x0 = Latched(jnp.array(-0.5)), jnp.append(jnp.array([0.1, 0.0]), jnp.ones(memories))
+    branch = jf.continue_equilibrium(system, "mu", jf.equilibrium(system, x0), stop=0.5)
+    (point,) = branch.points
+    assert point.kind == "hopf"
+    assert_allclose(point.value, 0.0, **CLOSE)
+    away = abs(branch.values) > 1e-9
+    np.testing.assert_array_equal(branch.stable[away], (branch.values < 0)[away])
