@@ -12,6 +12,7 @@ from jaxtyping import Array
 from jaxfil.integrate.lane.extension import Extension
 from jaxfil.integrate.lane.forcing_phase import repeats
 from jaxfil.integrate.lane.problem import (
+    SAME_TIME,
     Problem,
     Recording,
     TimeGrid,
@@ -238,8 +239,9 @@ class Sampling(eqx.Module):
         instead of the time."""
         if not self.phased:
             return end
-        cycle, repeats_itself = _cycle_of(*self.at(point.values))
-        phase = start[-1] + end[-1] / cycle
+        system, unit = self.at(point.values)
+        cycle, repeats_itself = _cycle_of(system, unit)
+        phase = _at_tick(system, start[-1] + end[-1] / cycle, end[-1], cycle)
         return end.at[-1].set(select(repeats_itself, jnp.mod(phase, 1.0), phase))
 
     def sampled(self, point: Point, x0: Array, kept: Kept, result: RESULTS) -> Samples[Array]:
@@ -302,6 +304,18 @@ def _cycle_of(system: System, unit: Array) -> tuple[Array, Array]:
     turns = jnp.stack([unit / period for period in [unit, *periods]])
     rounding = _DIVIDES * float(jnp.finfo(unit.dtype).eps) * turns
     return unit, jnp.all(abs(turns - jnp.round(turns)) <= rounding)
+
+
+def _at_tick(system: System, phase: Array, took: Array, cycle: Array) -> Array:
+    """A phase after a run, moved to a tick from which it differs by rounding. Otherwise the run
+    that follows would begin with that tick again."""
+    eps, size = float(jnp.finfo(phase.dtype).eps), jnp.maximum(abs(phase), took / cycle)
+    for clock in system.clocks:
+        # In cycles, since a number of periods need not be whole again after it is divided by one.
+        period, first = (jnp.asarray(v, phase.dtype) / cycle for v in (clock.period, clock.phase))
+        tick = first + jnp.round((phase - first) / period) * period
+        phase = select(abs(phase - tick) <= SAME_TIME * eps * size, tick, phase)
+    return phase
 
 
 def _at_section(result: RESULTS) -> RESULTS:

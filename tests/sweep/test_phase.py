@@ -221,3 +221,42 @@ def test_a_fast_forcing_repeats_over_long_runs_in_each_precision(dtype):
     )
     x0 = jnp.zeros(1, dtype)
     assert bool(repeats(cast(forced, dtype), jnp.asarray(2 * np.pi, dtype), x0, 3000))
+
+
+class Doses(jf.System):
+    """A dose of 1 at each tick, and decay at rate 1."""
+
+    every: jax.Array
+
+    def vector_field(self, t, x, side):
+        return -x
+
+    def tick(self, t, x, clock):
+        return x + 1.0
+
+    @property
+    def clocks(self):
+        return (jf.Clock(self.every),)
+
+
+def test_lanes_that_follow_each_other_have_each_tick_once():
+    """Each ends at a tick, whose time in periods is rounded; the next one begins after it."""
+    periods, samples = np.linspace(0.54, 0.78, 16), 15
+    level = jf.Section(lambda t, x: x[0] - 1.6, direction=1)
+    found = jf.bifurcation_diagram(
+        Doses(jnp.array(0.6)),
+        "every",
+        periods,
+        jnp.array([2.0]),
+        section=level,
+        max_return=2.0,
+        transient=0,
+        samples=samples,
+        follow="up",
+        progress=False,
+    )
+    x, want = 2.0, []
+    for period in np.repeat(periods, samples):
+        x = x * np.exp(-period) + 1.0
+        want.append(x)
+    np.testing.assert_allclose(found.xs[..., 0].ravel(), want, rtol=0, atol=1e-12)
