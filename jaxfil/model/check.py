@@ -6,6 +6,8 @@ functions return, and re-exports what `argument` has for general values, so that
 imports `check` alone. Modules that this one imports use `argument` itself.
 """
 
+import inspect
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -112,9 +114,28 @@ def shapes(value: System, x: Array) -> tuple[int, ...]:
         )
     if value.resets:
         _same_as_state(value, "reset", t=t, x=x, surface=jnp.zeros((), jnp.int32))
+    _has_what_calls(value)
     if value.ticks and value.clocks:
         _same_as_state(value, "tick", t=t, x=x, clock=jnp.zeros((), jnp.int32))
     return h
+
+
+def _has_what_calls(value: System) -> None:
+    """A map without contacts or ticks, at which it could be called, is a mistake."""
+    name = type(value).__name__
+    if _defines(value, "reset") and not _defines(value, "switching"):
+        raise ValueError(f"`switching` of {name} must return the surfaces of its `reset`; missing.")
+    if _defines(value, "tick") and not _defines(value, "clocks"):
+        raise ValueError(
+            f"`clocks` of {name} must be a tuple of jaxfil.Clock, at which its `tick` is called; "
+            "missing."
+        )
+
+
+def _defines(value: System, name: str) -> bool:
+    """Whether the class of a system has its own function or property of a name."""
+    of, base = (inspect.getattr_static(v, name) for v in (type(value), System))
+    return of is not base
 
 
 def _same_as_state(value: System, name: str, **args: Array) -> None:

@@ -5,13 +5,16 @@ import dataclasses
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
+from jaxfil.integrate.lane.forcing_phase import differs
 from jaxfil.integrate.run.step_choice import StepCount, steps_and_stepper
 from jaxfil.integrate.steppers.explicit import Stepper, checked_stepper
 from jaxfil.integrate.system.closed_over import with_closed_numbers
 from jaxfil.integrate.system.grade import is_compact_run
 from jaxfil.model import check
+from jaxfil.model.argument import concrete
 from jaxfil.model.outcomes import RESULTS, raise_if_failed
 from jaxfil.model.parameter import cast
 from jaxfil.model.system import System
@@ -24,6 +27,9 @@ from jaxfil.orbits.orbit import Orbit
 from jaxfil.orbits.shooting import ShootingOptions, flow_map, starts_from
 from jaxfil.xla.known import array_of, compiled_if_traced, without_derivatives
 from jaxfil.xla.select import select
+
+# Clocks are whole turns on if they are to this part.
+_WHOLE = 1e-6
 
 
 def periodic_orbit(
@@ -80,6 +86,9 @@ def periodic_orbit(
     derivatives `x0` stays in the plane through the guess that the search has used, although a new
     search with other parameters uses another one; what does not depend on the phase is exact.
 
+    **Raises** `ValueError` for a `system.period` after which its field, or a clock, is not the same
+    as before, if the numbers are known.
+
     **Outcomes**: `successful`; `newton_stalled`, `newton_singular` or `newton_max_steps_reached`
     without an orbit; `behind_surface` for an orbit with H < 0 at a surface that reflects; and if
     the guess itself cannot be integrated for a period, `nonfinite`,
@@ -134,6 +143,8 @@ def periodic_orbit(
     steps, stepper = steps_and_stepper(steps, stepper, system)
     check.number_of_steps(steps, periods=periods, transient=transient)
     stepper = checked_stepper(stepper)
+    if not autonomous:
+        _check_repeats(system, periods, x)
     options = ShootingOptions(
         t0=check.scalar("t0", t0, dtype),
         steps=steps * periods,
@@ -147,6 +158,26 @@ def periodic_orbit(
     settle = array_of(transient, jnp.int32) if transient else None
     orbit = _find(system, x, guess, options, periods, settle, budget)
     return raise_if_failed(orbit, orbit.result) if throw else orbit
+
+
+def _check_repeats(system: System, periods: int, x: Array) -> None:
+    """An error for a period after which the system is not the same, where its numbers are known."""
+    name, period = type(system).__name__, concrete(check.period(system, x.dtype))
+    if period is None or not np.isfinite(period):
+        return
+    length = periods * period
+    clocks = [concrete(clock.period) for clock in system.clocks]
+    turns = np.array([length / clock for clock in clocks if clock is not None])
+    if np.any(abs(turns - np.round(turns)) > _WHOLE * turns):
+        raise ValueError(
+            f"`period` of {name} must be a common one of its clocks, got {period:.6g}; after "
+            f"{length:.6g} they have made {', '.join(f'{v:.6g}' for v in turns)} turns."
+        )
+    if concrete(differs(system, jnp.asarray(length, x.dtype), x)):
+        raise ValueError(
+            f"`period` of {name} must be a period of its functions, got {period:.6g}; they differ "
+            f"after {length:.6g}."
+        )
 
 
 @compiled_if_traced

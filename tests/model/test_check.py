@@ -68,6 +68,26 @@ class Held(Ticking):
         return (jf.Clock(self.clock),)
 
 
+class Unclocked(jf.System):
+    """A map that nothing calls."""
+
+    def vector_field(self, t, x, side):
+        return x
+
+    def tick(self, t, x, clock):
+        return x + 1
+
+
+class Unswitched(jf.System):
+    """Another one."""
+
+    def vector_field(self, t, x, side):
+        return x
+
+    def reset(self, t, x, surface):
+        return -x
+
+
 class Gain(jf.System):
     """A system of one's own, with a parameter that nothing converts."""
 
@@ -393,6 +413,16 @@ CALLS = {
         lambda: solve(Held(0.0)),
         "`clocks` of Held must be a tuple of jaxfil.Clock: `period` must be positive and finite",
         "0.0",
+    ),
+    "a tick without clocks": (
+        lambda: solve(Unclocked()),
+        "`clocks` of Unclocked must be a tuple of jaxfil.Clock, at which its `tick` is called",
+        "missing",
+    ),
+    "a reset without surfaces": (
+        lambda: solve(Unswitched()),
+        "`switching` of Unswitched must return the surfaces of its `reset`",
+        "missing",
     ),
     "clock of a batch": (
         lambda: solve(Ticking(jf.Clock(jnp.ones(3)))),

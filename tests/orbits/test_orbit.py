@@ -856,3 +856,44 @@ def test_derivatives_by_a_number_that_functions_close_over():
         assert_allclose(value, 1 / (1 + w**2), rtol=1e-10)
         assert_allclose(slope, -2 * w / (1 + w**2) ** 2, rtol=1e-10)
         assert_allclose(jax.jacfwd(start)(1.0), -0.5, rtol=1e-10)
+
+
+class OfTwoClocks(jf.System):
+    """Doses at the ticks of two clocks, whose common period is 0.6."""
+
+    period = 0.3
+
+    def vector_field(self, t, x, side):
+        return -x
+
+    def tick(self, t, x, clock):
+        return x + 1.0
+
+    @property
+    def clocks(self):
+        return jf.Clock(0.3), jf.Clock(0.2)
+
+
+class OfHalfTheForce(jf.System):
+    """A force of twice the period."""
+
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        return -x + jnp.cos(t / 2)
+
+
+@pytest.mark.parametrize(
+    "system, told",
+    [
+        (OfTwoClocks(), "a common one of its clocks"),
+        (OfHalfTheForce(), "a period of its functions"),
+    ],
+)
+def test_a_period_of_something_else_is_refused(system, told):
+    """A fixed point of the map over it is no orbit; one over two of them is."""
+    with pytest.raises(ValueError, match=f"`period` of {type(system).__name__} must be {told}"):
+        jf.periodic_orbit(system, jnp.array([0.5]))
+    orbit = jf.periodic_orbit(system, jnp.array([0.5]), periods=2)
+    later = jf.solve(system, orbit.x0, 0.0, 4 * system.period, system.period / 40).x_final
+    assert_allclose(later, orbit.x0, rtol=0, atol=1e-9)

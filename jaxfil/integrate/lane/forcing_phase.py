@@ -52,6 +52,23 @@ def repeats(system: System, period: Array, x: Array, count: Array | int) -> Arra
     return _repeats(with_closed_numbers(system, x), period, x, count)
 
 
+@eqx.filter_jit
+def differs(system: System, period: Array, x: Array) -> Array:
+    """Whether the field at a state x clearly differs after one period, which is no period of the
+    system then. H and resets may depend on time where no motion feels it."""
+    ones = jnp.ones(check.shapes(system, x), x.dtype)
+    sides = jnp.stack([ones, -ones])
+
+    def field(side: Array, t: Array) -> Array:
+        return field_of(system, t, x, side, jnp.ones_like(side))
+
+    several = jax.vmap(jax.vmap(field, in_axes=(0, None)), in_axes=(None, 0))
+    at = jnp.asarray(_PHASES, x.dtype) * period
+    now, later = several(sides, at), several(sides, at + period)
+    size = jnp.max(abs(now) + abs(later), axis=(0, 1))
+    return jnp.any(abs(now - later) > float(jnp.finfo(x.dtype).eps) ** 0.5 * size)
+
+
 @eqx.filter_custom_jvp
 def _repeats(system: System, period: Array, x: Array, count: Array | int) -> Array:
     same = _Values(system, x, count)
