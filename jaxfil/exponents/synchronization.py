@@ -63,7 +63,8 @@ def synchronization_exponent(
     The drive x runs `transient` periods from `x0` at t = 0. The response y starts at a distance of
     0.01·s, and both run until |x − y| ≤ `tolerance`·s, for `periods` periods at most. The size s is
     the recent maximum of |x| at that time, without a transient that of the first period, or 1 if x
-    is zero.
+    is zero. With resets that move the state by a jump the pair has another threshold than
+    λ1: from the reset of one to the reset of the other the coupling acts on the jump.
 
     Runs under `jax.jit` and `equinox.filter_vmap` over parameters; couplings are batched inside.
 
@@ -242,7 +243,8 @@ def transverse_exponent(
     distance once a period, so that it aligns with the direction of fastest growth before growth is
     counted. Where a period ends between an impact of one of them and the same impact of the other,
     this is done a part of a period later. The rate is zero at the coupling λ1, and λ1 does not
-    depend on the coupling used.
+    depend on the coupling used, unless a reset moves the state by a jump: the coupling acts on the
+    jump from the reset of one to the reset of the other, and only ε = 0 gives λ1.
 
     **Arguments**
 
