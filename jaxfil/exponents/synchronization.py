@@ -63,8 +63,8 @@ def synchronization_exponent(
     The drive x runs `transient` periods from `x0` at t = 0. The response y starts at a distance of
     0.01·s, and both run until |x − y| ≤ `tolerance`·s, for `periods` periods at most. The size s is
     the recent maximum of |x| at that time, without a transient that of the first period, or 1 if x
-    is zero. With resets that move the state by a jump the pair has another threshold than
-    λ1: from the reset of one to the reset of the other the coupling acts on the jump.
+    is zero. With resets that move the state by a jump the pair has another threshold than λ1: from
+    the reset of one to the reset of the other the coupling acts on the jump.
 
     Runs under `jax.jit` and `equinox.filter_vmap` over parameters; couplings are batched inside.
 
