@@ -145,7 +145,8 @@ class RESULTS(eqx.Enumeration, metaclass=_Outcomes):
     )
     reset_undecided = (
         "No admissible motion continues from the state after the reset, since on its surface "
-        "neither a side, nor sliding, nor rest is consistent with the vector fields there."
+        "neither a side, nor sliding, nor rest is consistent with the vector fields there; or the "
+        "derivative of the reset, from which a rest follows, is not finite there."
     )
     invalid_period = (
         "The period of the forcing or of a clock is negative, zero or infinite, so that the motion "

@@ -61,6 +61,9 @@ class Beginning(eqx.Module):
     """Surfaces that the motion rests on; for several surfaces only with the field on side +."""
     consistent: Array
     """Whether the reactions of these are consistent (see `unilateral.pressed`)."""
+    differentiable: Array
+    """Whether the resets of the surfaces that it stands still on have finite derivatives, from
+    which a rest follows."""
     constraints: Constraints
     """The surfaces as constraints."""
     by_time: Components
@@ -118,6 +121,7 @@ def begin(
         still=wall & flat,
         rests=rests,
         consistent=consistent,
+        differentiable=~any_of(on & flat & ~c.known),
         constraints=c,
         by_time=thrown.by_time,
     )

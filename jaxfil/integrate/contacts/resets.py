@@ -266,6 +266,10 @@ def _follow(
         # died out at a limit of turns, where all surfaces rest.
         alive = outward < -noise / system.eps**0.5
         consistent = ~any_of(limit & reverses & alive)
+    # Whether a surface holds a motion that arrives slowly is unknown without the derivative of its
+    # reset.
+    slow = state.pending.surfaces & there & (abs(rate) <= noise)
+    consistent = consistent & ~any_of(slow & ~c.known & ~stays_on(system, state.motion.mode))
     more = any_of(owed)
     jump, kick = _chattering(problem, state, length, reset, seen, at, rests, more)
     # A surface that the motion leaves has no impact: a reset would throw it back through it.

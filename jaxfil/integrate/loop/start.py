@@ -128,7 +128,7 @@ def _first_mode(
         given = start.sides, free, direction, steered(system), instant, system.slides
         mode, count = filippov.choose(fields, rates, following, *given)
         mode = where(start.rests, 2 * mode, mode)
-        count = select(start.consistent, count, 0)
+        count = select(start.consistent & start.differentiable, count, 0)
         # Backward in time a rest may have started at any earlier time, so the motion is not unique.
         count = select(any_of(start.rests) & (grid.direction < 0), 2, count)
         owed = start.owed
@@ -178,6 +178,7 @@ def _first_mode_together(
     mode, count = decide(question)
     # Without a surface to decide there is one mode, whatever the decision returns.
     count = select(any_of(decided), count, 1)
+    count = select(start.differentiable, count, 0)
     # Backward in time a rest may have started at any earlier time, so the motion is not unique.
     rests = unilateral.rests_of(mode)
     count = select(any_of(rests) & (direction < 0), 2, count)

@@ -69,6 +69,8 @@ class Constraints(eqx.Module):
     """The effect of resets."""
     reaction: "Response"
     """The effect of reactions, equal to `impulse` unless the field takes reactions."""
+    known: Components
+    """Whether the derivative of the reset is finite, so that d_j is known, m flags."""
 
 
 class ResetEffect(eqx.Module):
@@ -108,15 +110,17 @@ def constraints(system: ComponentSystem, t: Array, x: Components, sides: Compone
     if gradients.is_array:
         numbers = jnp.arange(system.m, dtype=jnp.int32)
         given = sides.parts[0], rate.parts[0], gradients.rows[0], normals.rows[0], numbers
-        directions = Rows.array(jax.vmap(direction)(*given).parts[0])
+        found, finite = jax.vmap(direction)(*given)
+        directions, known = Rows.array(found.parts[0]), Components([finite])
     else:
         each = zip(sides.parts, rate.parts, gradients.rows, normals.rows, strict=True)
-        directions = Rows([direction(*of_j, j) for j, of_j in enumerate(each)])
+        found, finite = zip(*(direction(*of_j, j) for j, of_j in enumerate(each)), strict=True)
+        directions, known = Rows(list(found)), Components(finite)
     impulse = Response(directions, gradients.products(directions))
     reaction = impulse
     if system.feels_reactions:
         reaction = felt_response(system, (t, x), sides, sides, gradients, impulse)
-    return Constraints(rate, gradients, impulse, reaction)
+    return Constraints(rate, gradients, impulse, reaction, known)
 
 
 def reset_effect(
@@ -193,9 +197,9 @@ def _direction(
     gradient: Components,
     normal: Components,
     j: int | Array,
-) -> Components:
-    """d_j, from the derivative of the reset along y = ∇ψ_j at an incoming state; 0 where the reset
-    does not throw back."""
+) -> tuple[Components, Array]:
+    """d_j, from the derivative of the reset along y = ∇ψ_j at an incoming state, 0 where the reset
+    does not throw back; and whether that derivative is finite."""
     size = dot(gradient, gradient)
     inverse = select(size > 0, 1 / select(size > 0, size, 1), 0.0)
     # The reset may be defined only for incoming states, so it is differentiated at one. The state
@@ -217,7 +221,8 @@ def _direction(
     known = stop_gradient((gain - 1, rate, x, moving, thrown, gradient, after, normal))
     reflects = _reflects(*known, eps=system.eps)
     # A reset may be undefined far from its contacts, where no motion feels it.
-    return where(all_finite(direction) & reflects, direction, 0.0)
+    finite = all_finite(direction)
+    return where(finite & reflects, direction, 0.0), finite
 
 
 def _reflects(

@@ -128,3 +128,50 @@ class Rubbing(jf.System):
 def test_a_reset_is_asked_only_at_its_contacts(system, x0, t1, end):
     sol = jf.solve(system, jnp.array(x0), 0.0, t1, 0.07)
     assert_allclose(sol.x_final, jnp.stack(end), rtol=0, atol=1e-13)
+
+
+class Rough(jf.System):
+    """A ball in space, z, z', and its slip, above tables at different heights; friction in an
+    impact ends the slip in the first one. `root` is the length of the slip as it is written."""
+
+    root: str = "norm"
+    num_tables: int = 1
+    e: jax.Array | float = 0.5
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -jnp.ones_like(t), 0 * t, 0 * t])
+
+    def switching(self, t, x):
+        return x[0] + jnp.arange(1.0 * self.num_tables)
+
+    def reset(self, t, x, surface):
+        square = jnp.sum(x[2:] ** 2)
+        slip = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
+        if self.root == "norm":
+            slip = jnp.linalg.norm(x[2:])
+        keep = jnp.maximum(1 - 3 * jnp.abs(x[1]) / (slip + 1e-12), 0.0)
+        return jnp.concatenate([x[:1], -self.e * x[1:2], keep * x[2:]])
+
+
+@pytest.mark.parametrize("root", ["norm", "where"])
+@pytest.mark.parametrize("num_tables", [1, 2, 5])
+def test_a_rest_needs_the_derivative_of_its_reset(root, num_tables):
+    # It falls for a time 1 from 1/2, and bounces for 2e/(1 − e) more; or it starts at rest.
+    def run(e, z, x, t1):
+        x0 = jnp.stack([z, 0 * z, x, x])
+        return jf.solve(Rough(root, num_tables, e), x0, 0.0, t1, 0.05, throw=False)
+
+    e, z = jnp.array([0.0, 0.5, 0.5, 0.5]), jnp.array([0.5, 0.5, 0.5, 0.0])
+    sol = jax.vmap(run)(e, z, jnp.array([0.3, 0.3, 0.0, 0.0]), jnp.array([4.0, 4.0, 1.5, 1.0]))
+    names = jf.RESULTS.names(sol.result).tolist()
+    # At t = 1.5 it still bounces.
+    assert_allclose(sol.x_final[2], [0.125, 0.0, 0.0, 0.0], rtol=0, atol=1e-14)
+    assert names[2] == "successful"
+    if root == "norm":
+        # Where several surfaces may spiral into a corner, bounces that die out are followed longer.
+        assert names[1] == ("reset_undecided" if num_tables == 1 else "zeno")
+        assert names[::3] == ["reset_undecided", "mode_undecided"]
+    else:
+        assert names == ["successful"] * 4
+        assert_allclose(sol.x_final[jnp.array([0, 1, 3])], 0, rtol=0, atol=1e-12)
+        assert (sol.mode_final[jnp.array([0, 1, 3]), 0] == 2).all()
