@@ -1,10 +1,12 @@
 """`choose_step`: the cheapest stepper and step that satisfy a tolerance for a given system.
 
-The steps of each stepper are doubled until its error is small enough; numbers of steps between the
-last two are then tried. All errors are relative to one reference, finer than all runs.
+The steps of each stepper are doubled until its error is small enough and its ends are those of the
+others; numbers of steps between the last two are then tried. All errors are relative to one
+reference, finer than all runs.
 """
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -100,6 +102,17 @@ class _Ladder:
             if change <= small or 0.5 * before <= change <= rounding:
                 return
 
+    def is_settled(self, small: float) -> bool:
+        """Whether the last doubling changed the ends by at most `small`."""
+        return self.change(self.finest) <= small
+
+    def settled(self, small: float) -> list[int]:
+        """The numbers of steps from which on each doubling changed the ends by at most `small`, or
+        all if there are none. A single small change among large ones is a coincidence."""
+        doubled = sorted(s for s in self.runs if s > _FIRST)
+        large = [k for k, steps in enumerate(doubled) if not self.change(steps) <= small]
+        return doubled[max(large, default=-1) + 1 :] or doubled
+
     def enough(self, reference: _Run, tolerance: float) -> int | None:
         """The least number of steps from which on all runs satisfy the tolerance, or None."""
         found = None
@@ -138,7 +151,8 @@ def choose_step(
 
     Errors are measured instead of estimated from step to step, and include the errors of
     contacts. A number of steps is chosen only if all larger ones that were tried also satisfy the
-    tolerance. Each stepper is compiled once.
+    tolerance. Steppers that end in different states are refined until they agree, since the ends
+    of one whose steps miss a brief pulse do not change. Each stepper is compiled once.
 
     **Arguments**
 
@@ -178,17 +192,36 @@ def choose_step(
     ladders = [_Ladder(s, lanes.runner(s), lanes.most) for s in _checked(steppers)]
     for ladder in ladders:
         ladder.double_until(wanted)
+    apart = _agreement(ladders, wanted)
     # The reference uses the stepper that got there with the fewest steps, of the highest order.
     best = min(ladders, key=lambda v: (min(v.change(v.finest), wanted), v.finest))
     best.double_until(_FINE * wanted)
-    fine = min((s for s in best.runs if s > _FIRST), key=best.change)
-    reference, known = best.runs[fine], best.change(fine)
+    fine = min(best.settled(wanted), key=best.change)
+    reference, known = best.runs[fine], max(best.change(fine), apart)
     for ladder in ladders:
         ladder.refine(reference, wanted)
     choice = _choice(ladders, lanes, reference, known, wanted)
     if throw:
         raise_if_failed(choice.errors, choice.result)
     return choice
+
+
+def _agreement(ladders: list[_Ladder], small: float) -> float:
+    """Double the steps of the coarser of two steppers whose ends have settled to `small`, but not
+    on each other's, until there are no such two; the distance left where that needs too many
+    steps, otherwise 0."""
+    while True:
+        settled = [v for v in ladders if v.is_settled(small)]
+        # Each is off by at most the change of its last doubling, if that shows its error.
+        apart = [
+            (distance, min(a, b, key=lambda v: v.finest))
+            for a, b in itertools.combinations(settled, 2)
+            if (distance := a.runs[a.finest].distance(b.runs[b.finest])) > 2 * small
+        ]
+        finer = [ladder for _, ladder in apart if 2 * ladder.finest <= ladder.most]
+        if not finer:
+            return max((distance for distance, _ in apart), default=0.0)
+        min(finer, key=lambda v: v.finest).double_until(small)
 
 
 def _checked(steppers: Any) -> tuple[Stepper, ...]:

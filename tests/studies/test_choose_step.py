@@ -138,3 +138,26 @@ def test_bad_calls_name_the_argument(change, message):
     call = {"t0": 0.0, "t1": 1.0} | change
     with pytest.raises(ValueError, match=message):
         jf.choose_step(jf.systems.RotatingOscillator(), jnp.array([0.4, 0.0]), **call)
+
+
+class Pulsed(jf.System):
+    """x' = a pulse of area 1 at t = 0.640625, of the given width."""
+
+    width: float = 2e-3
+
+    def vector_field(self, t, x, side):
+        late = (t - 0.640625) / self.width
+        return jnp.exp(-(late**2))[None] / (self.width * np.pi**0.5)
+
+    def switching(self, t, x):
+        return jnp.ones_like(t)
+
+
+def test_a_stepper_whose_steps_miss_a_pulse_is_not_the_reference():
+    # RK4 evaluates the field first at multiples of 1/8, 1/16 and 1/32, where the pulse is zero, so
+    # that its ends do not change.
+    x0 = jnp.array([1.0])
+    choice = jf.choose_step(Pulsed(), x0, 0.0, 1.0, tolerance=1e-6)
+    assert choice.result == jf.RESULTS.successful
+    end = jf.solve(Pulsed(), x0, 0.0, 1.0, choice).x_final[0]
+    assert abs(end - 2) < 2 * 2e-6
