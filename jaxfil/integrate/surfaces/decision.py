@@ -218,6 +218,11 @@ def _continues(
     solved, turned = flat & governed, None
     if following is not None:
         turned = _turned(question, following, force, sides, w, rounds)
+        if question.kept is not None and question.now is not None:
+            # A surface that has just been left, at the end of its slide, is not slid on again
+            # because another one is left at the same time. Of two frictions that share a load
+            # each would otherwise be left and slid on in turn, without end.
+            edge = edge & ~(question.kept & (sides == question.now) & turned & question.leaves)
     stands = rounds == 2
     if not question.slides:
         stands = stands | _is_held(question, following, force, sides, w)

@@ -44,7 +44,6 @@ _MORE = [
 ]
 
 
-@pytest.mark.release
 @pytest.mark.parametrize("scales", [(1.0, -2.0), *_MORE])
 def test_brakes_on_one_disc_are_one_brake(scales):
     def end(system):
