@@ -62,7 +62,7 @@ def _kind(problem: Problem, state: LoopState, end: StepEnd) -> Array:
         left, held = left | (abs(old) == 2), held | (abs(new) == 2)
     slip = where(left, EventKind.slip.value, EventKind.crossing.value)
     kinds = where(held, EventKind.stick.value, slip).astype(jnp.int8)
-    if problem.system.resets or problem.system.ticks:
+    if problem.system.resets or problem.system.clocks:
         # The surface is on the other side without a zero of H in between.
         far = state.pending.jumped & (old * new == -1) & (end.motion.g > end.gathered)
         kinds = where(far, EventKind.carry.value, kinds).astype(jnp.int8)

@@ -423,3 +423,26 @@ def test_ticks_that_coincide_but_for_rounding_are_no_turns():
     slopes = jax.jacfwd(lambda p: run(lanes + p))(jnp.zeros(3))
     assert_within(run(lanes), jax.vmap(exact)(lanes), 64 * EPS)
     assert_within(slopes, jax.vmap(jax.jacfwd(exact))(lanes), 256 * EPS)
+
+
+class Stepped(jf.System):
+    """A rising level and a threshold that jumps between −0.4 and 0.4 at each tick."""
+
+    num_surfaces: int = 1
+    clocks = (jf.Clock(1.0, 0.5),)
+
+    def vector_field(self, t, x, side):
+        return 0 * x + 0.25
+
+    def switching(self, t, x):
+        # The times of these ticks are exact, and a tick belongs to the time after it.
+        odd = jnp.floor(t - 0.5) % 2 == 0
+        return x[0] - jnp.where(odd, 0.4, -0.4) - 10 * jnp.arange(1.0 * self.num_surfaces)
+
+
+@pytest.mark.parametrize("num_surfaces", [1, 2])
+def test_a_threshold_that_jumps_past_the_state_carries_it(num_surfaces):
+    sol = jf.solve(Stepped(num_surfaces), jnp.array([0.1]), 0.0, 1.4, 0.05)
+    kinds = [jf.EventKind(int(kind)).name for kind in sol.events.kinds[: sol.num_events]]
+    assert kinds == ["carry", "crossing"]
+    np.testing.assert_allclose(sol.events.ts[:2], [0.5, 1.2], rtol=1e-13)
