@@ -108,7 +108,8 @@ class _Ladder:
 
     def settled(self, small: float) -> list[int]:
         """The numbers of steps from which on each doubling changed the ends by at most `small`, or
-        all if there are none. A single small change among large ones is a coincidence."""
+        all if the last one changed them more. A single small change among large ones is a
+        coincidence."""
         doubled = sorted(s for s in self.runs if s > _FIRST)
         large = [k for k, steps in enumerate(doubled) if not self.change(steps) <= small]
         return doubled[max(large, default=-1) + 1 :] or doubled
@@ -208,8 +209,8 @@ def choose_step(
 
 def _agreement(ladders: list[_Ladder], small: float) -> float:
     """Double the steps of the coarser of two steppers whose ends have settled to `small`, but not
-    on each other's, until there are no such two; the distance left where that needs too many
-    steps, otherwise 0."""
+    on each other's, until all agree; the remaining distance where that needs too many steps,
+    otherwise 0."""
     while True:
         settled = [v for v in ladders if v.is_settled(small)]
         # Each is off by at most the change of its last doubling, if that shows its error.
