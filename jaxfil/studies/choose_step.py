@@ -102,10 +102,6 @@ class _Ladder:
             if change <= small or 0.5 * before <= change <= rounding:
                 return
 
-    def is_settled(self, small: float) -> bool:
-        """Whether the last doubling changed the ends by at most `small`."""
-        return self.change(self.finest) <= small
-
     def settled(self, small: float) -> list[int]:
         """The numbers of steps from which on each doubling changed the ends by at most `small`, or
         all if the last one changed them more. A single small change among large ones is a
@@ -212,7 +208,7 @@ def _agreement(ladders: list[_Ladder], small: float) -> float:
     on each other's, until all agree; the remaining distance where that needs too many steps,
     otherwise 0."""
     while True:
-        settled = [v for v in ladders if v.is_settled(small)]
+        settled = [v for v in ladders if v.change(v.finest) <= small]
         # Each is off by at most the change of its last doubling, if that shows its error.
         apart = [
             (distance, min(a, b, key=lambda v: v.finest))
