@@ -23,6 +23,7 @@ from jaxfil.model.parameter import replace_parameter, replace_parameters
 from jaxfil.model.system import System
 from jaxfil.orbits.affine import Affine, affine
 from jaxfil.orbits.closing import OrbitProblem, phase_condition, shoot_near
+from jaxfil.orbits.constant import unchanged
 from jaxfil.orbits.corrector import contacts_of
 from jaxfil.orbits.curve import ArclengthConstraint
 from jaxfil.orbits.newton import Evaluation, Root, Stages, root_of
@@ -97,7 +98,10 @@ class CriticalOrbits:
         unit = np.append(np.maximum(shot.size, least), np.where(s[n:] == 0, 1.0, abs(s[n:])))
         steps = np.finfo(s.dtype).eps ** _STEP * unit
         turned = [self._turned(s, shot, h) for h in np.diag(steps)]
-        return Slopes(np.hstack([first, by_second]), np.stack(turned, axis=-1), normal, unit)
+        first, still = np.hstack([first, by_second]), np.zeros(n, bool)
+        still[list(shot.constant.numbers)] = True
+        still = np.asarray(unchanged(still, first[:, :n])) & ~np.any(first[:, n:], axis=1)
+        return Slopes(first, np.stack(turned, axis=-1), normal, unit, still)
 
     def _turned(self, s: np.ndarray, shot: Shot, h: np.ndarray) -> Float[np.ndarray, "n k"]:
         """The change of first derivatives by one unknown, to the side on which the orbit keeps its
@@ -181,7 +185,8 @@ def _unknown(n: int, own: int, dtype: np.dtype) -> Slopes:
     """The slopes of a shot that has failed."""
     k = n + own
     first, second = np.full((n, k + 2), np.nan, dtype), np.full((n, k + 1, k + 2), np.nan, dtype)
-    return Slopes(first, second, np.ones((own, n), dtype), np.ones(k + 2, dtype))
+    ones = np.ones((own, n), dtype), np.ones(k + 2, dtype)
+    return Slopes(first, second, *ones, still=np.zeros(n, bool))
 
 
 @eqx.filter_jit

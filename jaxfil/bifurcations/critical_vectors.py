@@ -18,7 +18,7 @@ import abc
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 
 class Slopes(NamedTuple):
@@ -31,6 +31,8 @@ class Slopes(NamedTuple):
     """The row of the phase condition of an autonomous system."""
     unit: Float[np.ndarray, " s"]
     """The scale of each."""
+    still: Bool[np.ndarray, " n"]
+    """Components of the state that close for every value and keep that of the neighbour."""
 
     @property
     def monodromy(self) -> np.ndarray:
@@ -39,8 +41,10 @@ class Slopes(NamedTuple):
 
     @property
     def closing(self) -> np.ndarray:
-        """The derivative of P − x by s."""
-        return self.first - np.eye(*self.first.shape)
+        """The derivative of P − x by s, where `still` components are constant."""
+        unit = np.eye(*self.first.shape)
+        still = self.still[:, None] | np.append(self.still, np.zeros(len(unit.T) - len(unit), bool))
+        return np.where(still, unit, self.first - unit)
 
     @property
     def size(self) -> int:

@@ -16,13 +16,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.lax import stop_gradient
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxfil.bifurcations.closure import Closing, close
 from jaxfil.bifurcations.tangency import SLIDE, Tangency, defining
+from jaxfil.integrate.system.dependencies import constants_of
+from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.parameter import replace_parameters
 from jaxfil.model.system import System
 from jaxfil.orbits.affine import Affine, affine
+from jaxfil.orbits.constant import unchanged
 from jaxfil.orbits.implicit import Equations, SystemOf
 from jaxfil.orbits.newton import Evaluation, Root, Stages, as_it_is, root_of
 from jaxfil.orbits.orbit import Orbit
@@ -30,7 +33,7 @@ from jaxfil.orbits.shooting import ShootingOptions
 from jaxfil.xla.kernel import kernel_if_it_fits, tree_in_kernel
 from jaxfil.xla.known import array_of, is_known
 from jaxfil.xla.select import select
-from jaxfil.xla.thresholds import CONVERGED, RESIDUAL
+from jaxfil.xla.thresholds import CONVERGED, RESIDUAL, SAME_STATE
 
 
 class Placed(eqx.Module):
@@ -49,14 +52,19 @@ class Residual(eqx.Module):
     tangency: Tangency
     options: ShootingOptions
     family: Int[Array, ""]
+    still: Bool[Array, " n"] | None
 
     def tangency_at(self, at: Placed) -> Tangency:
         """The tangency at `at`. Its flight moves with it and always contains it."""
         known = self.tangency
         moved = at.phase - known.phase
+        starts = at.starts
+        if self.still is not None:
+            # A step of Newton's method moves these by rounding.
+            starts = starts - select(self.still, stop_gradient(starts - known.starts), 0)
         return dataclasses.replace(
             known,
-            starts=at.starts,
+            starts=starts,
             # A state at a phase that a tick passes would jump.
             node=known.node if at.system.clocks else known.node + moved,
             phase=at.phase,
@@ -69,7 +77,22 @@ class Residual(eqx.Module):
         tangency = self.tangency_at(at)
         closing = close(at.system, at.period, self.options, self.family, tangency)
         pair = defining(at.system, self.family, closing.t, closing.x, tangency)
-        return jnp.append(closing.gap, pair), stop_gradient(closing)
+        gap = closing.gap
+        if self.still is not None:
+            # Any value closes the last arc, whose equation is that the first start stays.
+            away = select(self.still, at.starts[0] - self.tangency.starts[0], 0)
+            gap = gap.at[-away.size :].add(away)
+            closing = dataclasses.replace(closing, result=_lost_if_changed(closing, self.still))
+        return jnp.append(gap, pair), stop_gradient(closing)
+
+
+def _lost_if_changed(closing: Closing, still: Bool[Array, " n"]) -> RESULTS:
+    """The outcome of a closure; `orbit_lost` where a component that no event determines at the
+    guess has changed by more than rounding."""
+    gaps, size = closing.gap.reshape(-1, still.size), select(closing.size == 0, 1, closing.size)
+    far = abs(gaps) > SAME_STATE * float(jnp.finfo(size.dtype).eps) * size
+    lost = (closing.result == RESULTS.successful) & jnp.any(still & far)
+    return RESULTS.where(lost, RESULTS.orbit_lost, closing.result)
 
 
 class DefiningSystem(Equations):
@@ -81,6 +104,8 @@ class DefiningSystem(Equations):
     periods: int | Array
     newton_steps: int | Array
     family: Int[Array, ""]
+    still: Bool[Array, " n"] | None
+    """Components of the state that close for every value and keep that of the tangency."""
     free: tuple[str, ...] = eqx.field(static=True)
 
     def placed(self, system: System, z: Array) -> Placed:
@@ -104,8 +129,12 @@ class DefiningSystem(Equations):
         total = jnp.eye(n, dtype=slopes.dtype)
         for i in range(arcs):
             block = slopes[i * n : (i + 1) * n, i * n : (i + 1) * n]
-            # The end of an only arc is compared with its own start.
-            total = (block + jnp.eye(n, dtype=slopes.dtype) if arcs == 1 else block) @ total
+            if arcs == 1:
+                # The end of an only arc is compared with its own start.
+                block = block + jnp.eye(n, dtype=slopes.dtype)
+                if self.still is not None:
+                    block = block - jnp.diag(self.still.astype(slopes.dtype))
+            total = block @ total
         return total
 
     @eqx.filter_jit
@@ -116,7 +145,7 @@ class DefiningSystem(Equations):
     @property
     def residual_at(self) -> Residual:
         """The equations as a function of a `Placed`."""
-        return Residual(self.tangency, self.options, self.family)
+        return Residual(self.tangency, self.options, self.family, self.still)
 
     def residual(self, system: System, z: Array) -> tuple[Float[Array, " M"], Closing]:
         """Closure and the two conditions."""
@@ -247,6 +276,9 @@ def defining_system(
     if system.period is not None:
         periods = jnp.round(stop_gradient(orbit.period / jnp.asarray(orbit.system.period)))
     family = array_of(family, jnp.int32)
+    still, constant = None, constants_of(orbit.system, orbit.x0)
+    if constant.any():
+        still = stop_gradient(unchanged(jnp.asarray(constant), orbit.monodromy))
     return DefiningSystem(
-        stop_gradient(tangency), orbit.options, periods, newton_steps, family, free
+        stop_gradient(tangency), orbit.options, periods, newton_steps, family, still, free
     )

@@ -22,7 +22,6 @@ from jaxfil.orbits.prime_period import times_round
 from jaxfil.orbits.shooting import ShootingOptions, Shot, shoot, starts_from, velocity
 from jaxfil.xla.known import array_of, in_numpy, is_known
 from jaxfil.xla.select import select
-from jaxfil.xla.thresholds import SAME_STATE
 
 # The least autonomous period, relative to the guess.
 _SHORTEST = 1 / 16
@@ -144,34 +143,14 @@ def _closing(shot: Shot, starts: Array) -> tuple[Array, Array]:
     with respect to all starts and the global unknowns, shape (M n, M n + k)."""
     # Block by block: the arc's own derivative on the diagonal, −1 for the next start, cyclically.
     m, n = starts.shape
-    kept = [(i, _is_kept(shot, starts, i)) for i in shot.constant.numbers]
-    by_start, by_global = shot.by_start, shot.by_global
-    unit = jnp.asarray(np.eye(n, dtype=starts.dtype))
-    for i, flag in kept:
-        by_start = by_start.at[:, i].set(select(flag, unit[i], by_start[:, i]))
-        by_global = by_global.at[:, i].set(select(flag, 0, by_global[:, i]))
-    residual = shot.ends - jnp.roll(starts, -1, axis=0)
-    own = np.eye(m, dtype=starts.dtype)
+    gap = shot.ends - jnp.roll(starts, -1, axis=0)
+    own, unit = np.eye(m, dtype=starts.dtype), jnp.asarray(np.eye(n, dtype=starts.dtype))
     own, next_ = (jnp.asarray(v[:, None, :, None]) for v in (own, np.roll(own, 1, axis=1)))
-    by_starts = (own * by_start[:, :, None] - next_ * unit[:, None]).reshape(m * n, m * n)
-    jacobian = jnp.concatenate([by_starts, by_global.reshape(m * n, -1)], axis=1)
-    for i, flag in kept:
-        # Any value closes the last arc, and the equation that it stays is added.
-        jacobian = jacobian.at[(m - 1) * n + i, i].add(flag.astype(jacobian.dtype))
-    return residual.ravel(), jacobian
-
-
-def _is_kept(shot: Shot, starts: Array, i: int) -> Array:
-    """Whether no event changes a component without a field, the number i of the state."""
-    eps = SAME_STATE * float(jnp.finfo(starts.dtype).eps)
-    unit = jnp.asarray(np.arange(starts.shape[1]) == i, starts.dtype)
-
-    def is_zero(row: Array, of: Array) -> Array:
-        return jnp.all(abs(row) <= eps * jnp.max(abs(of), initial=0.0))
-
-    still = is_zero(shot.by_start[:, i] - unit, shot.by_start)
-    still &= is_zero(shot.by_global[:, i], shot.by_global)
-    return still & jnp.all(shot.ends[:, i] == starts[:, i])
+    by_starts = own * shot.by_start[:, :, None] - next_ * unit[:, None]
+    by_starts, by_global = (v.reshape(m * n, -1) for v in (by_starts, shot.by_global))
+    jacobian = jnp.concatenate([by_starts, by_global], axis=1)
+    gap, jacobian = shot.constant.held(gap, jacobian, shot.size)
+    return gap.ravel(), jacobian
 
 
 @eqx.filter_jit

@@ -22,12 +22,12 @@ from jaxfil.model.drawing import draw
 from jaxfil.model.outcomes import RESULTS, EventKind, raise_if_failed
 from jaxfil.model.system import System
 from jaxfil.model.types import Axes, Dataset, PathLike
+from jaxfil.orbits.constant import unchanged
 from jaxfil.orbits.extremes import extremes_of
 from jaxfil.orbits.orbit_arrays import orbit_arrays
 from jaxfil.orbits.shooting import ShootingOptions, first_failure, merged
 from jaxfil.xla.known import in_numpy, is_known, part_of
 from jaxfil.xla.select import select
-from jaxfil.xla.thresholds import SAME_STATE
 
 # The factor by which there is room for more steps if there was not enough, and for a traced run,
 # which cannot be repeated; and the room from which on there is no more.
@@ -239,10 +239,7 @@ def _multipliers(monodromy: Array) -> Array:
 def _without(constant: Array, monodromy: Array) -> Array:
     """The monodromy matrix with a multiplier 0 in place of the 1 of each constant component that no
     event has changed."""
-    rounding = SAME_STATE * jnp.finfo(monodromy.dtype).eps * jnp.max(abs(monodromy), (-2, -1))
-    away = jnp.max(abs(monodromy - jnp.eye(monodromy.shape[-1], dtype=monodromy.dtype)), axis=-1)
-    kept = constant & (away <= rounding[..., None])
-    return select(kept[..., None], 0, monodromy)
+    return select(unchanged(constant, monodromy)[..., None], 0, monodromy)
 
 
 @ft.partial(jax.jit, static_argnames="autonomous")

@@ -24,6 +24,7 @@ from jaxfil.integrate.system.components import pack
 from jaxfil.integrate.system.lowered import build
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.system import System
+from jaxfil.orbits.constant import Constant
 from jaxfil.xla.kernel import kernel_if_it_fits
 from jaxfil.xla.select import select
 
@@ -62,12 +63,6 @@ class ShootingOptions(eqx.Module):
         recording = Recording(max_events=self.max_events)
         field = build(system, x0, compact=self.compact)
         return problem_of(field, tableau_of(self.stepper), grid, recording)
-
-
-class Constant(eqx.Module):
-    """The components of a state that only events change, as a latch (`Structure.constant`)."""
-
-    numbers: tuple[int, ...] = eqx.field(static=True)
 
 
 class Shot(eqx.Module):
