@@ -28,7 +28,7 @@ def solve_small(
     singular system (one surface listed twice, or one that no unknown moves) has its solution."""
     k = len(matrix)
     if k > _WRITTEN_OUT:
-        found, _ = _reduced(_equilibrated_array(matrix, rights))
+        found = _solved(_array(matrix), _array(rights).T, None)
         return [[found[i, r] for i in range(k)] for r in range(len(rights))]
     rows = _eliminated([_equilibrated(row, k) for row in _beside(matrix, rights)], k)
     # One unknown has no other equation, and `_without` assigns no row to a column without a pivot.
@@ -40,23 +40,47 @@ def solve_small(
 def solve(matrix: Array, rights: Array, taken: Array) -> Array:
     """The same for arrays, (k, k) and (k, r), and the unknowns in `taken`; the others are 0. The
     cost grows with the number of unknowns taken."""
-    rows = _equilibrated_rows(jnp.concatenate([_among(matrix, taken), rights], axis=1))
-    return _reduced_among(rows, taken)[0]
+    return _solved(_among(matrix, taken), rights, taken)
 
 
 def inverse(matrix: Array | Sequence[Sequence[Array]], taken: Array | None = None) -> Array:
     """The matrix that gives the solutions of `solve`, or of `solve_small` without `taken`, as
-    products with right-hand sides.
-
-    Right-hand sides that are tangents must stay out of the elimination, whose loop has the matrix
-    and them in one array. Reverse mode could not tell then that the pivots do not depend on them.
-    """
+    products with right-hand sides."""
     k = len(matrix)
     if isinstance(matrix, jax.Array):
         assert taken is not None
         return solve(matrix, jnp.eye(k, dtype=matrix.dtype), taken)
     unit = jnp.eye(k, dtype=jnp.result_type(matrix[0][0]))
     return jnp.stack([jnp.stack(column) for column in solve_small(matrix, list(unit))], axis=1)
+
+
+@jax.custom_jvp
+def _solved(matrix: Array, rights: Array, taken: Array | None) -> Array:
+    """The unknowns of a system, of those in `taken` if it is given, shape (k, r)."""
+    rows = _equilibrated_rows(jnp.concatenate([matrix, rights], axis=1))
+    return (_reduced(rows) if taken is None else _reduced_among(rows, taken))[0]
+
+
+@_solved.defjvp
+def _solved_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+    # A⁻¹ (ḃ − Ȧ x). Through the elimination, whose loop has matrix and right-hand sides in one
+    # array, reverse mode could not tell that the pivots do not depend on tangents.
+    (matrix, rights, taken), (turned, moved, _) = primals, tangents
+    unit = jnp.eye(len(matrix), dtype=matrix.dtype)
+    both = _solved(matrix, jnp.concatenate([rights, unit], axis=1), taken)
+    x, inverse = both[:, : rights.shape[1]], both[:, rights.shape[1] :]
+    rest = moved - _product(turned, x)
+    if taken is not None:
+        rest = select(taken[:, None], rest, 0)
+    return x, _product(inverse, rest)
+
+
+def _product(a: Array, b: Array) -> Array:
+    return jnp.sum(a[:, :, None] * b, axis=1)
+
+
+def _array(rows: Sequence[Sequence[Array]]) -> Array:
+    return jnp.stack([jnp.stack(row) for row in rows])
 
 
 def _among(matrix: Array, taken: Array) -> Array:
@@ -101,7 +125,7 @@ def _size_of_small(matrix: Any) -> Array:
     k = len(matrix)
     scales = [_scale(row) for row in matrix]
     if k > _WRITTEN_OUT:
-        _, found = _reduced(_equilibrated_array(matrix, []))
+        _, found = _reduced(_equilibrated_rows(_array(matrix)))
         pivots = [found[i] for i in range(k)]
     else:
         rows = _eliminated([_equilibrated(row, k) for row in matrix], k)
@@ -117,13 +141,6 @@ def _beside(
 ) -> list[list[Array]]:
     """The rows of a matrix, each with its numbers of the right-hand sides behind it."""
     return [[*row, *(b[i] for b in rights)] for i, row in enumerate(matrix)]
-
-
-def _equilibrated_array(
-    matrix: Sequence[Sequence[Array]], rights: Sequence[Sequence[Array]]
-) -> Array:
-    """`_equilibrated` of all rows, shape (k, k + r)."""
-    return _equilibrated_rows(jnp.stack([jnp.stack(row) for row in _beside(matrix, rights)]))
 
 
 def _equilibrated_rows(rows: Array) -> Array:

@@ -122,7 +122,8 @@ def _to_rest(
         return unilateral.contact_rates(system, t, x, sides)
 
     def bring(changed: Components, x: Components) -> Components:
-        return impulse.directions.added(x, unilateral.multipliers(impulse.gains, changed, rests))
+        impulses = unilateral.change_of_multipliers(impulse.gains, changed, rests)
+        return impulse.directions.added(x, impulses)
 
     # H is brought to zero before ψ, since moving the state to H = 0 changes ψ.
     moments = bring(change(ComponentSystem.switching, rate), 0.0 * x)

@@ -31,6 +31,7 @@ Simulation and stability analysis of impacting systems with complete chattering,
 
 import functools as ft
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -45,6 +46,7 @@ from jaxfil.integrate.system.components import (
     any_of,
     dot,
     largest,
+    pack,
     side_of,
     where,
 )
@@ -52,7 +54,7 @@ from jaxfil.integrate.system.functions import size_of_time
 from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.integrate.system.rows import Rows
 from jaxfil.xla.select import select
-from jaxfil.xla.small_linear import solve, solve_small
+from jaxfil.xla.small_linear import inverse, solve, solve_small
 
 # Rounding of a rate or of an acceleration, in eps of its terms.
 _NOISE = 64
@@ -296,19 +298,38 @@ def multipliers_of_each(
     gains: Rows, each: Sequence[Components], rests: Components
 ) -> list[Components]:
     """`multipliers` for several accelerations, by one elimination."""
-    # Surfaces without a rest have rows and columns of the identity.
     rights = [where(rests, -a, 0.0) for a in each]
     if gains.is_array:
         (on,), forces = rests.parts, jnp.stack([v.parts[0] for v in rights], axis=1)
-        both, unit = on[:, None] & on[None, :], jnp.eye(len(on), dtype=forces.dtype)
-        found = solve(select(both, jnp.asarray(gains.entries()), unit), forces, on)
+        found = solve(_among_rests(gains, rests), forces, on)
         return [Components([found[:, r]]) for r in range(len(rights))]
+    found = solve_small(_among_rests(gains, rests), [v.parts for v in rights])
+    return list(map(Components, found))
+
+
+def change_of_multipliers(gains: Rows, change: Components, rests: Components) -> Components:
+    """`multipliers` for a tangent of the accelerations, in which it is linear for reverse mode
+    too."""
+    if change.size <= 2 and not gains.is_array:  # written out, without a loop
+        return multipliers(gains, change, rests)
+    on = rests.parts[0] if gains.is_array else None
+    found = inverse(_among_rests(gains, rests), on) @ pack(where(rests, -change, 0.0), float)
+    return Components([found] if gains.is_array else list(found))
+
+
+def _among_rests(gains: Rows, rests: Components) -> Any:
+    """The matrix of the equations of λ, an array or a list of rows. Surfaces without a rest have
+    rows and columns of the identity."""
+    if gains.is_array:
+        (on,) = rests.parts
+        both, unit = on[:, None] & on[None, :], jnp.eye(len(on), dtype=gains.entries().dtype)
+        return select(both, jnp.asarray(gains.entries()), unit)
     matrix, on = [], rests.parts
     for i, row in enumerate(gains.rows):
         both = [on[i] if i == j else on[i] & other for j, other in enumerate(on)]
         entries = enumerate(zip(both, row.parts, strict=True))
         matrix.append([select(flag, gain, float(i == j)) for j, (flag, gain) in entries])
-    return list(map(Components, solve_small(matrix, [v.parts for v in rights])))
+    return matrix
 
 
 def held_field(
