@@ -100,7 +100,8 @@ class CriticalOrbits:
         turned = [self._turned(s, shot, h) for h in np.diag(steps)]
         first, still = np.hstack([first, by_second]), np.zeros(n, bool)
         still[list(shot.constant.numbers)] = True
-        still = np.asarray(unchanged(still, first[:, :n])) & ~np.any(first[:, n:], axis=1)
+        kept = unchanged(*jax.device_put((still, first[:, :n])))
+        still = np.asarray(kept) & ~np.any(first[:, n:], axis=1)
         return Slopes(first, np.stack(turned, axis=-1), normal, unit, still)
 
     def _turned(self, s: np.ndarray, shot: Shot, h: np.ndarray) -> Float[np.ndarray, "n k"]:

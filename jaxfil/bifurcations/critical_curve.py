@@ -143,9 +143,9 @@ class CriticalCurve(EquationsCurve[CriticalPoint]):
         kind = self.equations.kind
         tests: dict[str, Callable[[CriticalPoint], float]] = {}
         if kind == "fold":
-            tests["cusp"] = lambda p: p.degeneracy.like(a.degeneracy)
+            tests["cusp"] = lambda p: p.degeneracy.value_beside(a.degeneracy)
         if kind == "period-doubling":
-            tests["generalised-doubling"] = lambda p: p.degeneracy.like(a.degeneracy)
+            tests["generalised-doubling"] = lambda p: p.degeneracy.value_beside(a.degeneracy)
         if kind == "neimark-sacker":
             for name, level in RESONANCES.items():
                 tests[name] = lambda p, level=level: self._kappa(p) - level

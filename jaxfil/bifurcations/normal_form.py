@@ -15,6 +15,7 @@ Source: Yu. A. Kuznetsov, Elements of Applied Bifurcation Theory (2004), section
 
 import dataclasses
 from collections.abc import Callable
+from typing import TypeAlias
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from jaxfil.bifurcations.critical_vectors import Slopes, null_vector
 # Powers of eps for central differences, of a second derivative alone and of second and third ones.
 _SECOND, _THIRD = 1 / 3, 1 / 4
 
-FirstSlopes = Callable[[np.ndarray], np.ndarray]
+FirstSlopes: TypeAlias = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,7 +34,7 @@ class Degeneracy:
     value: float
     left: np.ndarray
 
-    def like(self, other: "Degeneracy") -> float:
+    def value_beside(self, other: "Degeneracy") -> float:
         """The coefficient with the adjoint vector to the side of another one's."""
         return self.value if self.left @ other.left >= 0 else -self.value
 
@@ -41,13 +42,14 @@ class Degeneracy:
 def fold_degeneracy(
     first_slopes: FirstSlopes, s: np.ndarray, v: np.ndarray, slopes: Slopes
 ) -> Degeneracy:
-    """The coefficient of a fold, for vectors of length one."""
+    """The coefficient of a fold, for a critical vector of any length."""
     unit = slopes.unit[: slopes.size]
     v = v / np.linalg.norm(v / unit)
     left = null_vector(slopes.bordered.T, 1 / unit, 1 / slopes.rows)
     h = np.finfo(s.dtype).eps ** _SECOND
     plus, minus = (_along(first_slopes, s, sign * h * v) @ v for sign in (1, -1))
     n = len(slopes.first)
+    # ⟨w, B(v, v)⟩/2, with B(v, v) a difference over 2h.
     return Degeneracy(float(left[:n] @ (plus - minus)) / (4 * h), left * slopes.rows)
 
 
@@ -69,6 +71,7 @@ def doubling_degeneracy(
     here = slopes.first[:, :k] @ v
     plus, minus = (_along(first_slopes, s, sign * h * v) @ v for sign in (1, -1))
     second, third = (plus - minus) / (2 * h), (plus - 2 * here + minus) / h**2
+    # J⁻¹ B(v, v), with the row of the phase condition.
     bent = np.linalg.solve(slopes.bordered, np.append(second, np.zeros(k - n)))
     plus, minus = (_along(first_slopes, s, sign * h * bent) @ v for sign in (1, -1))
     mixed = (plus - minus) / (2 * h)

@@ -178,7 +178,7 @@ class TangencyCurve(EquationsCurve[TangencyPoint]):
         tangency = equations.residual_at.tangency_at(at)
         options = dataclasses.replace(equations.options, t0=tangency.node * at.period)
         orbit = Orbit(
-            x0=at.starts[0],
+            x0=tangency.starts[0],
             period=at.period,
             monodromy=array_of(point.known.monodromy),
             residual=jnp.zeros_like(at.period),
@@ -187,7 +187,7 @@ class TangencyCurve(EquationsCurve[TangencyPoint]):
             first_mode=tangency.mode.astype(jnp.int8),
             result=RESULTS.successful,
             system=at.system,
-            starts=at.starts,
+            starts=tangency.starts,
             num_steps=array_of(point.num_steps),
             options=options,
         )

@@ -22,7 +22,7 @@ from jaxfil.model.system import System
 from jaxfil.orbits.branch import SpecialPoint
 from jaxfil.orbits.curve import constraint_across, least_scales
 from jaxfil.orbits.plane_curve import PlaneCurve
-from jaxfil.orbits.pseudo_arclength import follow, range_around, walk_of
+from jaxfil.orbits.pseudo_arclength import follow, limits_of, range_around
 
 # A guess from a neighbour converges in a few steps or not at all.
 _NEWTON_STEPS = 12
@@ -167,7 +167,7 @@ def continue_bifurcation(
     free = two_parameters(system, parameters)
     check.flags(throw=throw)
     _check_start(bifurcation)
-    ends, steps = walk_of(stop, max_step, max_points)
+    ends, steps = limits_of(stop, max_step, max_points)
     names = labels_of(bifurcation.orbit.system, bifurcation.orbit.x0.shape[-1]).of(free)
     smooth = isinstance(bifurcation, SpecialPoint)
     begin: Callable[..., tuple[Any, Any, RESULTS]] = begin_critical if smooth else _on_curve

@@ -26,6 +26,9 @@ Add = Callable[..., Any]
 """`add_argument` of a parser."""
 
 _SEVERAL: dict[str, Any] = {"nargs": "+", "action": "extend", "default": []}
+# The end of a help text, as argparse fills it in.
+_DEFAULT = "(default: %(default)s)"
+_SPAN = "time span (default: 10 periods, or 10 if unforced)"
 
 
 class _Parser(argparse.ArgumentParser):
@@ -53,6 +56,7 @@ def _parser() -> _Parser:
     for name, (module, does, add_arguments) in _COMMANDS.items():
         epilog = examples.of(name)
         parser = commands.add_parser(name, help=does, epilog=epilog, allow_abbrev=False, **shape)
+        # For the code that commands share, where they lack these options.
         parser.set_defaults(module=module, follow=None, error=False, component=0)
         add_arguments(parser.add_argument)
     return top
@@ -60,7 +64,12 @@ def _parser() -> _Parser:
 
 def _add_simulate(add: Add) -> None:
     _add_system(add)
-    add("--time", metavar="T", type=positive, help="time span: 10 periods, or 10 unforced")
+    add(
+        "--time",
+        metavar="T",
+        type=positive,
+        help="time span (default: 10 periods, or 10 if unforced)",
+    )
     _add_steps(add)
     _add_picture(add)
 
@@ -68,10 +77,26 @@ def _add_simulate(add: Add) -> None:
 def _add_diagram(add: Add) -> None:
     _add_system(add)
     _add_swept(add)
-    add("--out", metavar="FILE", type=picture, required=True, help="the picture, FILE.png say")
+    add(
+        "--out",
+        metavar="FILE",
+        type=picture,
+        required=True,
+        help="the picture: FILE.png",
+    )
     add("--follow", choices=("up", "down"), help="start each value where its neighbour ended")
-    add("--error", action="store_true", help="estimate the error of the samples; takes 3 times")
-    add("--component", metavar="I", type=whole(0), default=0, help="of the state: %(default)s")
+    add(
+        "--error",
+        action="store_true",
+        help="estimate errors; takes three times as long",
+    )
+    add(
+        "--component",
+        metavar="I",
+        type=whole(0),
+        default=0,
+        help=f"of the state {_DEFAULT}",
+    )
     _add_samples(add, 200, 100)
     _add_section(add)
     _add_sweep(add)
@@ -89,7 +114,13 @@ def _add_basins(add: Add) -> None:
 def _add_map(add: Add, metavar: str, axes: str, transient: int) -> None:
     _add_system(add)
     add("--grid", metavar=metavar, type=axis, nargs=2, required=True, help=axes)
-    add("--out", metavar="FILE", type=picture, required=True, help="the picture, FILE.png say")
+    add(
+        "--out",
+        metavar="FILE",
+        type=picture,
+        required=True,
+        help="the picture: FILE.png",
+    )
     _add_samples(add, transient, 32)
     _add_section(add)
     _add_sweep(add)
@@ -106,19 +137,37 @@ def _add_orbit(add: Add) -> None:
 def _add_branch(add: Add) -> None:
     _add_system(add)
     add("--parameter", metavar="P", required=True, help="the parameter to follow the orbit in")
-    add("--from", dest="start", metavar="A", type=number, help="its first value: as set")
+    add("--from", dest="start", metavar="A", type=number, help="its first value (default: as set)")
     add("--to", dest="stop", metavar="B", type=number, required=True, help="its last value")
     _add_guess(add)
     _add_steps(add)
-    add("--component", metavar="I", type=whole(0), default=0, help="of the state: %(default)s")
+    add(
+        "--component",
+        metavar="I",
+        type=whole(0),
+        default=0,
+        help=f"of the state {_DEFAULT}",
+    )
     _add_picture(add)
 
 
 def _add_spectrum(add: Add) -> None:
     _add_system(add)
     _add_swept(add, required=False)
-    add("--periods", metavar="N", type=whole(1), default=1000, help="averaged: %(default)s")
-    add("--transient", metavar="N", type=whole(0), default=200, help="left out: %(default)s")
+    add(
+        "--periods",
+        metavar="N",
+        type=whole(1),
+        default=1000,
+        help=f"averaged {_DEFAULT}",
+    )
+    add(
+        "--transient",
+        metavar="N",
+        type=whole(0),
+        default=200,
+        help=f"left out {_DEFAULT}",
+    )
     add("--interval", metavar="T", type=positive, help="time in place of a period, if unforced")
     _add_steps(add)
     _add_picture(add)
@@ -126,16 +175,27 @@ def _add_spectrum(add: Add) -> None:
 
 def _add_table(add: Add) -> None:
     _add_system(add)
-    add("--time", metavar="T", type=positive, help="time span: 10 periods, or 10 unforced")
+    add(
+        "--time",
+        metavar="T",
+        type=positive,
+        help="time span (default: 10 periods, or 10 if unforced)",
+    )
     add("--steps", metavar="N", type=whole(1), help="a period (or unit of time)", **_SEVERAL)
     add("--steppers", metavar="S", choices=STEPPERS, help=", ".join(STEPPERS), **_SEVERAL)
-    add("--lanes", metavar="N", type=whole(1), default=1, help="timed at once: %(default)s")
+    add(
+        "--lanes",
+        metavar="N",
+        type=whole(1),
+        default=1,
+        help=f"timed at once {_DEFAULT}",
+    )
     _add_picture(add)
 
 
 def _add_show(add: Add) -> None:
     add("file", metavar="FILE", type=Path, help="what `save` or a command here has written")
-    name = "of an orbit or a branch of an own system: its FILE.py:CLASS"
+    name = "FILE.py:CLASS of the system of an orbit or a branch, if it is your own"
     add("system", metavar="NAME", nargs="?", help=name)
     _add_picture(add)
 
@@ -143,7 +203,7 @@ def _add_show(add: Add) -> None:
 def _add_system(add: Add) -> None:
     add("system", metavar="NAME", help="a system that --list names, or FILE.py:CLASS")
     add("--set", metavar="P=VALUE", type=setting, help="other parameters", **_SEVERAL)
-    add("--x0", metavar="A,B", type=state, help="initial state: the one that --list shows")
+    add("--x0", metavar="A,B", type=state, help="initial state (default: that of --list)")
 
 
 def _add_swept(add: Add, required: bool = True) -> None:
@@ -154,8 +214,20 @@ def _add_swept(add: Add, required: bool = True) -> None:
 
 
 def _add_samples(add: Add, transient: int, samples: int) -> None:
-    add("--transient", metavar="N", type=whole(0), default=transient, help="left out: %(default)s")
-    add("--samples", metavar="N", type=whole(1), default=samples, help="periods seen: %(default)s")
+    add(
+        "--transient",
+        metavar="N",
+        type=whole(0),
+        default=transient,
+        help=f"left out {_DEFAULT}",
+    )
+    add(
+        "--samples",
+        metavar="N",
+        type=whole(1),
+        default=samples,
+        help=f"periods seen {_DEFAULT}",
+    )
 
 
 def _add_section(add: Add) -> None:
@@ -165,9 +237,9 @@ def _add_section(add: Add) -> None:
 
 
 def _add_steps(add: Add) -> None:
-    help = "steps a period (or unit of time): %(default)s"
-    add("--steps", metavar="N", type=whole(1), default=40, help=help)
-    add("--stepper", choices=STEPPERS, help="the method of a step: Dopri8")
+    meaning = f"steps a period (or unit of time) {_DEFAULT}"
+    add("--steps", metavar="N", type=whole(1), default=40, help=meaning)
+    add("--stepper", choices=STEPPERS, help="the method of a step (default: Dopri8)")
 
 
 def _add_sweep(add: Add) -> None:
@@ -179,19 +251,36 @@ def _add_sweep(add: Add) -> None:
 
 
 def _add_guess(add: Add) -> None:
-    add("--periods", metavar="N", type=whole(1), default=1, help="of the force: %(default)s")
+    add(
+        "--periods",
+        metavar="N",
+        type=whole(1),
+        default=1,
+        help=f"of the force {_DEFAULT}",
+    )
     add("--period", metavar="T", type=positive, help="a guess of the period, if unforced")
-    add("--transient", metavar="N", type=whole(0), default=0, help="run first: %(default)s")
+    add(
+        "--transient",
+        metavar="N",
+        type=whole(0),
+        default=0,
+        help=f"run first {_DEFAULT}",
+    )
 
 
 def _add_picture(add: Add) -> None:
-    add("--out", metavar="FILE", type=picture, help="a picture, FILE.png say: none")
+    add(
+        "--out",
+        metavar="FILE",
+        type=picture,
+        help="a picture: FILE.png (default: none)",
+    )
     _add_style(add)
 
 
 def _add_style(add: Add) -> None:
-    add("--title", metavar="TEXT", help="over the picture: what was asked for")
-    add("--dpi", metavar="N", type=whole(1), help="dots per inch of the picture: 200")
+    add("--title", metavar="TEXT", help="over the picture (default: the command)")
+    add("--dpi", metavar="N", type=whole(1), help="dots per inch of the picture (default: 200)")
     add("--no-cache", action="store_true", help="compile anew, and keep nothing compiled on disk")
 
 

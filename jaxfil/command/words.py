@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 PICTURES = (".png", ".pdf", ".svg")
+# The keys of `steppers.STEPPERS`, here without JAX.
 STEPPERS = ("RK4", "Tsit5", "Dopri8", "Taylor", "Rodas5P")
 
 

@@ -115,8 +115,8 @@ def _walls(varied: Varied, u: Array) -> Array:
 
 @eqx.filter_jit
 def _in_mode(varied: Varied, after: Array, u: Array, scale: Array) -> tuple[Varied, Array, Array]:
-    """The same in another mode, with the unknowns of a boundary equilibrium, and whether it is an
-    equilibrium there, given their scales."""
+    """The balance in the mode `after`, the unknowns of a boundary equilibrium in it, and whether
+    they satisfy its equations to rounding, given the scales of the unknowns."""
     balance, z = varied.at(u)
     z = balance.unknowns_in(after, z)
     beside = Varied(dataclasses.replace(varied.balance, mode=after), varied.parameter)
@@ -164,7 +164,8 @@ class BalanceCurve(Curve[EquilibriumPoint]):
         )
 
     def metric(self, point: EquilibriumPoint) -> np.ndarray:
-        """Scales: sizes of components and of the parameter, one for weights."""
+        """Scales: sizes of components and of the parameter; at least one for weights and
+        reactions."""
         size, m = abs(point.u), self.mode.size
         size[size.size - 1 - m : -1] = np.maximum(size[size.size - 1 - m : -1], 1.0)
         return np.maximum(size, self.least)

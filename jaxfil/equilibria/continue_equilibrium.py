@@ -19,7 +19,7 @@ from jaxfil.model.outcomes import RESULTS, raise_if_failed
 from jaxfil.model.parameter import cast, get_parameter, replace_parameter, scalar_parameter
 from jaxfil.model.system import System
 from jaxfil.orbits.curve import constraint_across, least_scales
-from jaxfil.orbits.pseudo_arclength import Path, follow, range_around, walk_of
+from jaxfil.orbits.pseudo_arclength import FollowedCurve, follow, limits_of, range_around
 from jaxfil.xla.known import array_of, stacked
 
 # The least scale of an unknown, relative to its initial value, is this multiple of an orbit's,
@@ -92,7 +92,7 @@ def continue_equilibrium(
     autonomous("system", system)
     scalar_parameter(system, parameter)
     check.flags(throw=throw)
-    ends, steps = walk_of(stop, max_step, max_points)
+    ends, steps = limits_of(stop, max_step, max_points)
     if not isinstance(equilibrium, Equilibrium) or equilibrium.x.ndim != 1:
         raise ValueError(
             f"`equilibrium` must be a single Equilibrium, got {check.told(equilibrium)}."
@@ -148,7 +148,7 @@ def _least(curve: BalanceCurve, start: EquilibriumPoint, ends: list[float]) -> n
     return least
 
 
-def _branch(curve: BalanceCurve, path: Path[EquilibriumPoint]) -> EquilibriumBranch:
+def _branch(curve: BalanceCurve, path: FollowedCurve[EquilibriumPoint]) -> EquilibriumBranch:
     """The `EquilibriumBranch` of a path."""
     return EquilibriumBranch(
         parameter=curve.parameter,

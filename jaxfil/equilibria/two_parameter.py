@@ -29,7 +29,7 @@ from jaxfil.orbits.curve import (
 from jaxfil.orbits.locating import zero_on_curve
 from jaxfil.orbits.newton import Evaluation, Root, newton
 from jaxfil.orbits.plane_curve import EquationsCurve, PlaneCurve
-from jaxfil.orbits.pseudo_arclength import Path, follow, range_around, walk_of
+from jaxfil.orbits.pseudo_arclength import FollowedCurve, follow, limits_of, range_around
 from jaxfil.xla.known import array_of
 
 _NEWTON_STEPS = 12
@@ -173,7 +173,7 @@ def continue_equilibrium_bifurcation(
     free = two_parameters(system, parameters)
     check.flags(throw=throw)
     check.instance("bifurcation", bifurcation, EquilibriumBifurcation)
-    ends, steps = walk_of(stop, max_step, max_points)
+    ends, steps = limits_of(stop, max_step, max_points)
     equations, u = equations_of(bifurcation, free)
     curve = _BifurcationCurve(equations)
     # The scales of the unknowns at the start; 0 for one that is zero beside the others, which is
@@ -193,7 +193,7 @@ def continue_equilibrium_bifurcation(
             kind=bifurcation.kind,
             admissible=True,
         )
-        found = _curve(curve, Path([point], [], (why, why)), result)
+        found = _curve(curve, FollowedCurve([point], [], (why, why)), result)
     else:
         within = range_around(ends, curve.value(start))
         least = 10 * least_scales(size, curve.place, ends)
@@ -205,7 +205,9 @@ def continue_equilibrium_bifurcation(
     return found
 
 
-def _curve(curve: _BifurcationCurve, path: Path[_Point], result: RESULTS) -> EquilibriumCurve:
+def _curve(
+    curve: _BifurcationCurve, path: FollowedCurve[_Point], result: RESULTS
+) -> EquilibriumCurve:
     """The `EquilibriumCurve` of a path."""
     equations = curve.equations
     n = equations.across.size - equations.after.size

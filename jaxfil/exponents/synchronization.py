@@ -79,9 +79,9 @@ def synchronization_exponent(
     - `transient`: forcing periods of the drive before the response starts.
     - `steps`: steps per forcing period; or `Adaptive`, a tolerance; or the result of `choose_step`,
       which has its own `stepper`.
-    - `tolerance`: the distance that counts as synchronised, relative to the size s, from 0 to 0.01;
-      by default 1e-10, in float32 1e-5. A large one is reached by chance within chaos: at 1e-3
-      almost any coupling synchronises. One below rounding may never be reached.
+    - `tolerance`: the distance that counts as synchronised, relative to the size s, above 0 and
+      below 0.01; by default 1e-10, in float32 1e-5. A large one is reached by chance within chaos:
+      at 1e-3 almost any coupling synchronises. One below rounding may never be reached.
     - `interval`: the time that replaces the forcing period; an autonomous system needs one.
     - `stepper`: as in `solve`; by default `diffrax.Dopri8()`.
     - `compact`: as in `solve`.
@@ -108,11 +108,11 @@ def synchronization_exponent(
     x = check.state("x0", x0)
     check.system("system", system)
     system = cast(system, x.dtype)
-    # Ascending, because the first that synchronises is the result.
     grid = check.numbers("couplings", couplings, x.dtype, "real numbers of shape (c,) with c ≥ 1")
     if grid.ndim != 1 or grid.shape[0] == 0:
         raise ValueError(f"`couplings` must be of shape (c,) with c ≥ 1, got shape {grid.shape}.")
     values = check.concrete(grid)
+    # The first that synchronises is the result.
     if values is not None and not np.all(np.diff(values) > 0):
         raise ValueError(f"`couplings` must be ascending, got {values}.")
     between = interval_of(system, interval, x.dtype)
@@ -140,7 +140,8 @@ def synchronization_exponent(
 def _settle(
     system: System, x0: Array, interval: Interval, transient: Array, pace: Pace
 ) -> tuple[Interval, Array, Array, RESULTS]:
-    """The interval of the system, and the drive alone, after its transient, with its size."""
+    """The interval of the system, the drive after its transient (x0 without one), its size, and the
+    outcome."""
 
     def run(x0: Array) -> tuple[Interval, Array, Array, RESULTS]:
         between = interval.of(system, x0, pace)

@@ -28,7 +28,13 @@ from jaxfil.orbits.newton import Evaluation
 from jaxfil.orbits.orbit import Orbit
 from jaxfil.orbits.orbit_curve import OrbitCurve
 from jaxfil.orbits.phase_shift import problem_at
-from jaxfil.orbits.pseudo_arclength import Path, follow, range_ahead, range_around, walk_of
+from jaxfil.orbits.pseudo_arclength import (
+    FollowedCurve,
+    follow,
+    limits_of,
+    range_ahead,
+    range_around,
+)
 from jaxfil.xla.known import array_of, stacked
 
 # The least scale of a guessed state.
@@ -101,7 +107,7 @@ def continue_orbit(
     check.system("system", system)
     scalar_parameter(system, parameter)
     check.flags(throw=throw)
-    ends, steps = walk_of(stop, max_step, max_points)
+    ends, steps = limits_of(stop, max_step, max_points)
     if isinstance(orbit, SpecialPoint):
         # From its parent the branch goes one way.
         given, within = orbit.orbit, range_ahead
@@ -280,7 +286,7 @@ def _doubled(
     return base, scale, along / np.linalg.norm(along)
 
 
-def _branch(curve: OrbitCurve, path: Path[OrbitPoint]) -> Branch:
+def _branch(curve: OrbitCurve, path: FollowedCurve[OrbitPoint]) -> Branch:
     """The `Branch` of a path."""
     problem = curve.problem
     orbits = [_orbit(curve, _at_the_phase(curve, point)) for point in path.points]

@@ -14,14 +14,15 @@ from jaxfil.model.outcomes import RESULTS
 from jaxfil.orbits.curve import SHARP, Curve, CurvePoint, Special, constraint_across
 from jaxfil.orbits.locating import away_from_corner
 
-# Two points are at most this many steps apart; points further away are on another curve.
+# A corrected point further than this many steps from the last one may be on another curve; the step
+# is then halved.
 _STRAYED = 2.0
 
 _Point = TypeVar("_Point", bound=CurvePoint)
 
 
 @dataclasses.dataclass(frozen=True)
-class Path(Generic[_Point]):
+class FollowedCurve(Generic[_Point]):
     """Points in order, the special ones, the reasons for the end at either side, and whether the
     last point is the first one again."""
 
@@ -53,7 +54,7 @@ def ends_of(stop: Any) -> list[float]:
     return np.atleast_1d(ends).tolist()
 
 
-def walk_of(stop: Any, max_step: Any, max_points: Any) -> tuple[list[float], tuple[float, int]]:
+def limits_of(stop: Any, max_step: Any, max_points: Any) -> tuple[list[float], tuple[float, int]]:
     """The ends of a curve, its largest step and its largest number of points, from arguments."""
     most = check.count("max_points", max_points)
     longest = float(check.scalar("max_step", max_step, float, positive=True))
@@ -68,7 +69,7 @@ def range_around(ends: list[float], value: float) -> Range:
             raise ValueError(f"`stop` must differ from the value at the start, got {end}.")
         return Range(min(end, value), max(end, value), (float(np.sign(end - value)),))
     low, high = ends
-    ways = (-1.0,) * (low < value) + (1.0,) * (value < high)
+    ways = tuple(way for way, on in ((-1.0, low < value), (1.0, value < high)) if on)
     if not low <= value <= high or not ways:
         raise ValueError(f"`stop` must be (low, high) around the value {value}, got {low, high}.")
     return Range(low, high, ways)
@@ -87,7 +88,7 @@ def range_ahead(ends: list[float], value: float) -> Range:
 
 def follow(
     curve: Curve[_Point], start: _Point, within: Range, max_step: float, max_points: int
-) -> Path[_Point]:
+) -> FollowedCurve[_Point]:
     """The curve from one point to its ends, starting in the direction of its tangent."""
     path = _both_ways(curve, start, within, max_step, max_points)
     special = [*path.special, *curve.overlooked(path.points, path.special)]
@@ -96,8 +97,8 @@ def follow(
 
 def _both_ways(
     curve: Curve[_Point], start: _Point, within: Range, max_step: float, max_points: int
-) -> Path[_Point]:
-    paths: list[Path[_Point]] = []
+) -> FollowedCurve[_Point]:
+    paths: list[FollowedCurve[_Point]] = []
     for way in within.ways:
         begin = dataclasses.replace(start, tangent=way * start.tangent)
         path = _follow(curve, begin, within, max_step, max_points)
@@ -110,7 +111,7 @@ def _both_ways(
     return dataclasses.replace(path, ended=(f"start at {curve.told(start)}", path.ended[1]))
 
 
-def _joined(first: Path[_Point], ahead: Path[_Point]) -> Path[_Point]:
+def _joined(first: FollowedCurve[_Point], ahead: FollowedCurve[_Point]) -> FollowedCurve[_Point]:
     """Both directions from one point as one path, in the order of the direction ahead."""
     shift = len(first.points) - 1
     turned = [
@@ -119,16 +120,16 @@ def _joined(first: Path[_Point], ahead: Path[_Point]) -> Path[_Point]:
     ]
     moved = [dataclasses.replace(s, index=s.index + shift) for s in ahead.special]
     points = first.points[:0:-1] + ahead.points
-    return Path(points, turned + moved, (first.ended[1], ahead.ended[1]))
+    return FollowedCurve(points, turned + moved, (first.ended[1], ahead.ended[1]))
 
 
 def _follow(
     curve: Curve[_Point], start: _Point, within: Range, max_step: float, max_points: int
-) -> Path[_Point]:
+) -> FollowedCurve[_Point]:
     points, special, ds = [start], [], min(curve.steps.first, max_step)
 
-    def end(why: str, closed: bool = False) -> Path[_Point]:
-        return Path(points, special, ("", why), closed)
+    def end(why: str, closed: bool = False) -> FollowedCurve[_Point]:
+        return FollowedCurve(points, special, ("", why), closed)
 
     while len(points) < max_points:
         here = points[-1]

@@ -32,7 +32,8 @@ def multipliers(
     - `orbit`: an `Orbit`, of one lane or of many, or a `Branch`.
     - `ax`: the axes to draw on; by default new ones.
     - `colorbar`: whether to draw the parameter's scale beside them, or the axes to draw it in.
-    - `style`: matplotlib's keywords of the marks, as `ms` or `alpha`.
+    - `style`: matplotlib's keywords of the marks, as `ms` or `alpha`; on a `Branch` the size, the
+      marker, the label and `alpha`.
 
     **Returns** the matplotlib axes.
 
@@ -52,8 +53,8 @@ def multipliers(
     ax.plot(np.cos(angle), np.sin(angle), color=BLACK, linewidth=0.8)
     ax.axhline(0, color=BLACK, linewidth=0.3)
     ax.axvline(0, color=BLACK, linewidth=0.3)
-    held = orbit.values if isinstance(orbit, Branch) else np.zeros(len(values))
-    at = np.broadcast_to(np.reshape(held, (-1, *[1] * (values.ndim - 1))), values.shape)
+    parameter = orbit.values if isinstance(orbit, Branch) else np.zeros(len(values))
+    at = np.broadcast_to(np.reshape(parameter, (-1, *[1] * (values.ndim - 1))), values.shape)
     norm = Normalize(at.min(), at.max())
     outside = (np.abs(values) > 1) & ~trivial
     finite = np.isfinite(values)

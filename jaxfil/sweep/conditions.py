@@ -26,7 +26,8 @@ from jaxfil.version import __version__
 
 
 class Conditions(eqx.Module):
-    """The conditions of a sweep, sufficient to repeat it."""
+    """The conditions of a sweep: its numbers, and the section, the observed function and the
+    stepper by name."""
 
     parameters: dict[str, np.ndarray]
     """The parameters that were not swept, by name."""
@@ -69,7 +70,7 @@ def conditions_of(plan: SweepPlan) -> Conditions:
     others = {k: np.asarray(v) for k, v in parameters(each.system).items() if k not in each.names}
     section, observable = each.section, each.observable
     longest, before, averaging = each.max_return, each.transient_time, each.averaging
-    # The previous values of swept parameters are not passed to functions of the system.
+    # Identities are those of a system of the sweep, not of the one with the values before it.
     first, _ = each.at(jnp.asarray(plan.grid.rows[0]))
     return Conditions(
         parameters=others,
@@ -83,8 +84,10 @@ def conditions_of(plan: SweepPlan) -> Conditions:
         section=None if section is None else identity_of_section(section, first, state),
         max_return=None if longest is None else float(longest),
         transient_time=None if before is None else float(before),
-        average=averaging and identity_of_averaging(averaging, first, state),
-        observe=observable and identity_of_observable(observable, each.system, state),
+        average=None if averaging is None else identity_of_averaging(averaging, first, state),
+        observe=None
+        if observable is None
+        else identity_of_observable(observable, each.system, state),
     )
 
 
@@ -109,7 +112,7 @@ def conditions_from(data: NamedArrays, dtype: np.dtype, taken: Collection[str]) 
     told = data.attributes
     # An attribute of one number is read as a number, and one of float32 as float64.
     x0 = data.array("x0") if "x0" in data else np.reshape(told["x0"], (-1,)).astype(dtype)
-    # Numbers of a file are those of NumPy.
+    # `item`, since these fields are static and must be numbers and strings of Python.
     known: dict[str, Any] = {"follow": None, "compact": False}
     known |= {name: np.asarray(told[name]).item() for name in _ATTRIBUTES if name in told}
     known["compact"] = bool(known["compact"])

@@ -3,6 +3,7 @@
 While no event changes it, any value of it closes, and that of the guess is kept.
 """
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -165,3 +166,125 @@ def test_a_curve_of_folds_keeps_its_program():
     curve = jf.continue_equilibrium_bifurcation(system, ("b", "a"), fold, stop=3.0)
     assert_allclose(curve.values[-1], [3.0, -2.75], rtol=0, atol=1e-9)
     assert_array_equal(curve.xs[:, 1], 0.5)
+
+
+class SquareWave(jf.System):
+    """x' = u − x; u is turned at every half period, a latch that a period turns twice."""
+
+    leak: jax.Array
+    slides = False
+    period = 2.0
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1] - self.leak * x[0], 0 * t])
+
+    def switching(self, t, x):
+        return jnp.sin(np.pi * (t - 0.25))
+
+    def reset(self, t, x, surface):
+        return x.at[1].multiply(-1.0)
+
+
+@pytest.mark.parametrize("segments", [1, 2, 3])
+def test_a_latch_that_is_turned_back(segments):
+    """x runs to u/a by exp(−a t) and turns at ±tanh(a/2)/a, which it has at t = 1/4."""
+
+    def exact(a):
+        return (1 + (jnp.tanh(a / 2) - 1) * jnp.exp(a / 4)) / a
+
+    def x0(leak):
+        found = jf.periodic_orbit(SquareWave(leak), jnp.array([0.1, 1.0]), segments=segments)
+        return found.x0, found
+
+    for leak in (jnp.array(1.0), jnp.array(2.0)):
+        slope, orbit = jax.jacfwd(x0, has_aux=True)(leak)
+        assert_allclose(orbit.x0, [exact(leak), 1.0], rtol=0, atol=1e-12)
+        assert_allclose(slope, [jax.grad(exact)(leak), 0.0], rtol=0, atol=1e-11)
+        multipliers = np.sort(abs(orbit.multipliers))
+        assert_allclose(multipliers, [np.exp(-2 * leak), 1.0], rtol=0, atol=1e-12)
+        assert orbit.stable
+
+
+class Relay(jf.System):
+    """1/(s + 1)³ with y = x₃ and a relay u = ±1 that turns where u y = ε."""
+
+    eps: jax.Array
+    slides = False
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[3] - x[0], x[0] - x[1], x[1] - x[2], 0 * t])
+
+    def switching(self, t, x):
+        return self.eps - x[3] * x[2]
+
+    def reset(self, t, x, surface):
+        return x.at[3].multiply(-1.0)
+
+
+@pytest.mark.parametrize("segments", [1, 2])
+def test_a_relay_turned_twice_in_an_unknown_period(segments):
+    """From the matrix exponential (K. J. Åström, Oscillations in systems with relay feedback,
+    1995): period and multipliers of the cycle with ε = 1/10, which the start is near to."""
+    guess = jnp.array([0.78, 0.46, 0.0, 1.0])
+    orbit = jf.periodic_orbit(Relay(jnp.array(0.1)), guess, period=5.0, segments=segments)
+    assert_allclose(orbit.period, 4.787671942045484, rtol=1e-11)
+    multipliers = np.sort(abs(orbit.multipliers))
+    exact = [2.2308025973671755e-05, 0.025927482018784406, 1, 1]
+    assert_allclose(multipliers, exact, rtol=0, atol=1e-9)
+    assert orbit.stable
+
+
+class WithWall(Fuse):
+    """x'' + c x' + (1 + 3q) x = A cos ωt before a wall at d, with a gear q that nothing turns."""
+
+    wall: jax.Array
+    omega: jax.Array
+
+    def vector_field(self, t, x, side):
+        force = self.a * jnp.cos(self.omega * t) - self.c * x[1] - (1 + 3 * x[2]) * x[0]
+        return jnp.stack([x[1], force, 0 * t])
+
+    def switching(self, t, x):
+        return self.wall - x[0]
+
+    def reset(self, t, x, surface):
+        return x.at[1].multiply(-0.7)
+
+    @property
+    def period(self):
+        return 2 * jnp.pi / self.omega
+
+
+@pytest.mark.slow
+def test_grazing_in_a_gear():
+    """x = A/c sin t: the margin is d − A/c, and of (A, d) = (0.1, 1) with c = 0.2 the nearest point
+    of the line A = c d is at d = 1.02/1.04."""
+    system = WithWall(*map(jnp.asarray, (0.1, 0.2, 1.0, 1.0)))
+    orbit = jf.periodic_orbit(system, jnp.array([0.05, 0.45, 0.0]))
+    margin, by = jax.value_and_grad(lambda s: jf.grazing_margin(s, orbit))(system)
+    assert_allclose([margin, by.a, by.c, by.wall], [0.5, -5.0, 2.5, 1.0], rtol=0, atol=1e-9)
+    found = jf.find_bifurcation(system, "a", orbit, "grazing")
+    assert_allclose(found.value, 0.2, rtol=0, atol=1e-10)
+    # At the gear of the guess to the last bit, with the derivative by it in its column.
+    assert_array_equal(found.orbit.x0[2], 0.0)
+    at_grazing = jf.periodic_orbit(eqx.tree_at(lambda s: s.a, system, 0.2 - 1e-9), found.orbit.x0)
+    ours, theirs = found.orbit.monodromy, at_grazing.monodromy
+    assert_allclose(ours, theirs, rtol=0, atol=1e-7)
+    nearest = jf.nearest_grazing(system, ("a", "wall"), orbit, metric=[1.0, 1.0])
+    assert_allclose(nearest.distance, 0.1 / np.sqrt(1.04), rtol=0, atol=1e-9)
+    curve = jf.continue_bifurcation(system, ("wall", "a"), found, stop=2.0)
+    assert_allclose(curve.values[-1], [2.0, 0.4], rtol=0, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_a_curve_of_period_doublings_in_a_gear():
+    """Of the orbit with an impact at d = 1/20, A = 1, c = 1/10: at ω = 2.558143."""
+    system = WithWall(*map(jnp.asarray, (1.0, 0.1, 0.05, 2.3)))
+    start = jf.periodic_orbit(system, jnp.zeros(3), transient=100)
+    branch = jf.continue_orbit(system, "omega", start, stop=2.6)
+    (doubled,) = branch.points
+    assert doubled.kind == "period-doubling"
+    assert_allclose(doubled.value, 2.558143, rtol=0, atol=1e-6)
+    curve = jf.continue_bifurcation(system, ("omega", "wall"), doubled, stop=2.6, max_points=4)
+    assert_allclose(curve.values[0], [doubled.value, 0.05], rtol=0, atol=1e-6)
+    assert len(curve.values) > 1

@@ -174,7 +174,8 @@ class Recorder(eqx.Module):
         return self
 
     def empty(self, system: ComponentSystem) -> Any:
-        """Empty buffers for the saved states, a `SavedStates`; None for a recorder without."""
+        """Empty buffers for the saved states, a `Table`; None for a recorder without. The state at
+        t0 is not known here; an extension receives it in `begin`."""
         return None
 
     def next_time(self, num_saved: Array) -> tuple[Array, Array, Array] | None:
@@ -185,8 +186,8 @@ class Recorder(eqx.Module):
     def record(self, problem: "Problem", state: Any, after: Any, step: Any) -> Any:
         """The lane `after` a `Step` from `state`, a `LoopState`, with the states to be saved.
         `after` has the counts and the events of the step. The loop calls this before `after_step`
-        of extensions. The state to be saved is `step.end.motion` where `step.settled`; a landing is
-        saved with the last switch that follows it."""
+        of extensions. The state to be saved is `step.end.motion` where `step.settled`, or `saving`
+        at a time between grid points; a landing is saved with the last switch that follows it."""
         return after
 
     def at_section(self, problem: "Problem", state: Any) -> Any:

@@ -17,7 +17,7 @@ from jaxfil.integrate.lane.problem import Problem, Recorder
 from jaxfil.integrate.lane.recording import entered, mode_codes
 from jaxfil.integrate.lane.state import LoopState, SavedStates
 from jaxfil.integrate.surfaces.filippov import ModeField
-from jaxfil.integrate.system.components import Components, pack, without_last
+from jaxfil.integrate.system.components import Components, pack, with_last_zeroed
 from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.xla.masked_write import masked_write
@@ -62,7 +62,7 @@ class SaveSamples(Recorder):
             return after
         # The integrals of the first sample begin one interval before it.
         begins = save | (gridded & (after.counts.index == self.first - self.every))
-        x = without_last(after.motion.x, self.integrals, begins)
+        x = with_last_zeroed(after.motion.x, self.integrals, begins)
         return dataclasses.replace(after, motion=dataclasses.replace(after.motion, x=x))
 
 

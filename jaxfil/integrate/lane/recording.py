@@ -26,7 +26,11 @@ from jaxfil.xla.select import select
 
 
 def entered(record: Any, i: Array, yes: Array, entry: Any) -> Any:
-    """`record`, a record of arrays with k rows, with `entry` as row i where `yes`."""
+    """`record`, a record of arrays with k rows, with `entry` as row i where `yes`.
+
+    A row must be written once and never read in the loop: in the buffers of a loop with checkpoints
+    the derivative would be wrong.
+    """
     if all(isinstance(v, jax.Array) for v in vars(record).values()):
         return masked_write(record, i, entry, yes)
     # A loop with checkpoints has buffers of equinox in place of arrays. The type annotation of

@@ -23,7 +23,11 @@ Column: TypeAlias = Any
 """An array with an entry a row, or its counterpart in a loop with checkpoints."""
 
 
-class EventTable(eqx.Module):
+class Table(eqx.Module):
+    """Arrays with rows that are written once. A loop with checkpoints has buffers for them."""
+
+
+class EventTable(Table):
     """Events in order."""
 
     ts: Column
@@ -38,7 +42,7 @@ class EventTable(eqx.Module):
     """Modes just after, (k, m)."""
 
 
-class SavedStates(eqx.Module):
+class SavedStates(Table):
     """Saved times (k,), states (k, n) and modes (k, m). Samples of a sweep have no times, and modes
     only if these are recorded."""
 
@@ -47,7 +51,7 @@ class SavedStates(eqx.Module):
     modes: Column
 
 
-class CrossingTable(eqx.Module):
+class CrossingTable(Table):
     """Crossings of sections in order."""
 
     ts: Column
@@ -267,10 +271,9 @@ class StepEnd(eqx.Module):
 
 def tables_of(state: LoopState) -> list[Any]:
     """All tables of a lane, for events, saved states and crossings."""
-    kinds = EventTable, SavedStates, CrossingTable
     # This includes tables in the states of extensions.
-    found = jax.tree.leaves(state, is_leaf=lambda v: isinstance(v, kinds))
-    return [v for v in found if isinstance(v, kinds)]
+    found = jax.tree.leaves(state, is_leaf=lambda v: isinstance(v, Table))
+    return [v for v in found if isinstance(v, Table)]
 
 
 def is_running(grid: TimeGrid, state: LoopState, stop: Array | None = None) -> Array:

@@ -19,7 +19,13 @@ from jaxfil.integrate.lane.state import CrossingTable, EventTable, SavedStates
 from jaxfil.integrate.run.dataset import solution_arrays
 from jaxfil.integrate.run.observed import Observable, checked_observable, observed
 from jaxfil.integrate.run.options import resolution
-from jaxfil.integrate.steppers.explicit import Stepper, compact_step, step, tableau_of
+from jaxfil.integrate.steppers.explicit import (
+    Stepper,
+    compact_step,
+    has_known_name,
+    step,
+    tableau_of,
+)
 from jaxfil.integrate.surfaces.filippov import ModeField
 from jaxfil.integrate.system.components import Components, pack
 from jaxfil.integrate.system.lowered import ComponentSystem, build
@@ -109,14 +115,14 @@ class Solution(eqx.Module):
     events: Events | None
     """The event table; None without a table or without surfaces."""
     num_events: Int[Array, ""]
-    """Number of events, including those beyond the table."""
+    """Number of events."""
     result: RESULTS
     """The outcome of the run."""
     stats: dict[str, Array]
     """Counts: `num_steps` accepted steps, `num_halvings` refusals of steps that could not be
     trusted, `num_iterations` of the loop, `num_saved` states."""
     t_final: Float[Array, ""]
-    """The time at the end of the run: t1, or the time of a failure."""
+    """t1, or the time at which a failure or a section ended the run."""
     x_final: Float[Array, " n"]
     """The state at `t_final`."""
     mode_final: Int[Array, " m"]
@@ -168,7 +174,16 @@ class Solution(eqx.Module):
 
         `jaxfil.load(path)` returns the same solution, bit for bit; a solution with `evaluate` needs
         `jaxfil.load(path, system=…)`. An existing file is replaced.
+
+        Raises `ValueError` for a solution with `evaluate` by a stepper of your own, of which a file
+        would have the name only.
         """
+        if self._dense is not None and not has_known_name(self._dense.stepper):
+            raise ValueError(
+                "`path` cannot hold dense output by a stepper of your own, since a file has its "
+                f"name only; got {type(self._dense.stepper).__name__}. Save with `saveat` of `ts` "
+                "or `steps`."
+            )
         dataset_io.save(solution_arrays(self), path)
 
     def __repr__(self) -> str:

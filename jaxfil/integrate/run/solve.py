@@ -72,32 +72,40 @@ def solve(
 
     ẋ = F(t, x, side), side_j = sgn H_j(t, x), in Filippov's sense where the solution stays on a
     surface. Steps have the fixed length `dt`, or a length that follows a tolerance. A step is
-    shorter only where it ends on a contact, a tick of a clock, a saving time or a terminal section,
-    or where it is halved because it cannot be trusted; the next ones return to the grid. Contacts
-    are located to a few eps, and the order of the stepper is preserved.
+    shorter only at the end of the span, where it ends on a contact, a tick of a clock or a terminal
+    section, or where it is halved because it cannot be trusted; the next ones return to the grid. A
+    state at a saving time comes from an additional step. Contacts are located to a few eps, and the
+    order of the stepper is preserved.
 
     **Arguments**
 
     - `system`: a `System`; its float leaves are cast to the dtype of `x0`.
-    - `x0`: initial state, shape (n,). Its dtype is the dtype of the whole computation.
+    - `x0`: initial state, shape (n,). Its dtype is the dtype of the whole computation;
+      integers become floats.
     - `t0`, `t1`: the span of time; backward if t1 < t0.
     - `dt`: the length of a step, positive, and more than 8 eps·max(|t0|, |t1|); or `Adaptive`, a
       tolerance by which each step has its own length; or the result of `choose_step`, which has
       its own `stepper`.
     - `stepper`: an explicit diffrax Runge–Kutta solver such as `diffrax.Tsit5()`, `RK4()`,
-      `Taylor()`, or for stiff fields `Rodas5P()`; by default `diffrax.Dopri8()`.
+      `Taylor()`, or for stiff fields `Rodas5P()`; by default `diffrax.Dopri8()`. One of order one
+      or two has no error estimate in fixed steps: a step too long to be stable is not detected.
     - `saveat`: `diffrax.SaveAt` with one of `t1`, `ts`, `steps`, `dense` (and `t0` with `steps`);
-      other options raise an error that names them.
+      other options raise an error that names them. With `steps` the arrays have `max_steps` rows,
+      by default several thousand; a smaller `max_events` makes them shorter.
     - `max_events`: length of the event table; None for no table and no limit.
-    - `max_steps`: budget of loop iterations (a contact or a crossing takes about four, a tick two,
-      a saving time one). Needed where an array of that length is kept (`steps`, `dense`, reverse
-      mode) and the span or `dt` is traced, or where there are many ticks, or more contacts and
-      crossings than `max_events`, or than 256 if that is None.
-    - `adjoint`: with `diffrax.ForwardMode()`, `jax.grad` and `jax.vjp` transpose the forward
-      derivative by each number that varies; for hundreds of parameters,
+    - `max_steps`: limit of the loop's iterations (a step takes one, a contact or a crossing about
+      four, a tick two, a saving time one). By default 32 for each step, and 100,000 for contacts.
+      Where an array of that length is kept (`steps`, `dense`, reverse mode) it is 1 for each step,
+      6 for each of `max_events` (of 256 if that is None), 1 for each saving time, and 16, rounded
+      up to a power of two; it is then needed if the span or `dt` is traced, or there are many
+      ticks, or more contacts and crossings.
+    - `adjoint`: with `diffrax.ForwardMode()`, `jax.grad` and `jax.vjp` compute the forward
+      derivative by each number that varies, and transpose the result; for hundreds of parameters,
       `diffrax.RecursiveCheckpointAdjoint()` runs the loop backward, with second derivatives by
-      `jax.jacfwd(jax.grad(…))`. First and second derivatives with respect to x0, t0, t1 and every
-      float leaf of the system are exact through crossings, slides and resets; third ones raise.
+      `jax.jacfwd(jax.grad(…))`. First and second derivatives with respect to x0, t0, t1,
+      `saveat.ts` and every float leaf of the system are exact through crossings, slides and resets;
+      third ones raise. At a graze one is infinite. States that a failed run does not reach have the
+      derivative zero.
     - `throw`: raise an error unless the outcome is `successful` or `section_reached`; with False
       return every outcome in `result`. The error says t, x and the surface where it stopped, but
       not from within `jit`.
@@ -119,10 +127,13 @@ def solve(
       `side`, as in `System.vector_field`; `reaction`, the forces of the surfaces rested on, in
       which it must be affine; `mode`, +1 or −1 on a side, 0 on a slide, +2 or −2 at rest. Its
       values at the saved times, just after their contacts, are `observed`; with `steps`, those just
-      before are too. On a slide they are blended from both sides, as the field is; for a dry
-      friction, −F·side, this is the force that holds. Needs `saveat` with `t1`, `ts` or `steps`.
+      before a tick of a clock are too. On a slide they are blended from both sides, as the field
+      is; for a dry friction, −F·side, this is the force that holds. Needs `saveat` with `t1`, `ts`
+      or `steps`.
 
-    **Returns** a `Solution`, valid up to the time where it stopped.
+    **Returns** a `Solution`, valid up to `t_final`. Rows of `ts` and `xs` that a run has not
+    reached are inf, as with `t1` the only row of a failed run is. If a section ended the run, the
+    row of `t1` has the time and the state there.
 
     **Outcomes**: `successful`; `section_reached`, which is a success, and `out_of_bounds` for a run
     ended by a section; `max_steps_reached`, `max_events_reached`, `nonfinite` and `step_too_long`

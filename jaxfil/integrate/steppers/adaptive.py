@@ -33,9 +33,9 @@ class Adaptive(eqx.Module):
     - `rtol`, `atol`: the relative and the absolute tolerance, as in diffrax, by default 1e-6 and
       1e-9; numbers, not traced, `rtol` positive and `atol` not negative. An `rtol` below 16 eps of
       the precision is replaced by that value. With an `atol` of 0 the rounding of a number that is
-      zero, as the speed of a mass that sticks, is no error; but one that grows from zero like a
-      power of time above the order of the stepper, at the end of a chain, has no relative accuracy
-      then: `step_too_long`.
+      zero, as the speed of a mass that sticks, is no error. A number that grows from zero as a
+      power of time above the order of the stepper, such as the last mass of a chain, then has no
+      relative accuracy, and the run ends `step_too_long`.
     - `dtmax`: the longest step, in units of t; None for no limit. Contacts are located on the cubic
       through a step's ends, so a step may hide two of them if H oscillates faster than the state.
 

@@ -133,9 +133,10 @@ class Trial(eqx.Module):
 
 
 # The lowest order of a diffrax method whose error estimate is used in fixed steps. One of lower
-# order is as large as the change in a step from rest. That of `RK4` is kept, marked as crude: its
-# limits are such that only unstable steps are halved.
-_TRUSTED = 5
+# order is as large as the change in a step from rest. Down to the second of these orders it is
+# kept, marked as crude, as that of `RK4` is: its limits are such that only unstable steps are
+# halved. Below, steps from rest would be halved by these limits too.
+_TRUSTED, _CRUDE = 5, 3
 
 
 def _floats(row: np.ndarray) -> tuple[float, ...]:
@@ -152,6 +153,12 @@ def checked_stepper(stepper: Stepper | None) -> Stepper:
     return stepper
 
 
+def has_known_name(stepper: Stepper) -> bool:
+    """Whether a file can tell a stepper by the name of its class."""
+    cls = type(stepper.method if isinstance(stepper, Controlled) else stepper)
+    return cls in (OWN_METHODS.get(cls.__name__), getattr(diffrax, cls.__name__, None))
+
+
 def controlled(tolerance: Adaptive, stepper: Any) -> Controlled:
     """The requested stepper, checked, with a tolerance."""
     method = checked_stepper(stepper)
@@ -159,8 +166,9 @@ def controlled(tolerance: Adaptive, stepper: Any) -> Controlled:
     # The limits of a crude estimate detect unstable steps alone (`error_estimate`).
     if (tableau := tableau_of(asked)).crude or not tableau.d:
         raise ValueError(
-            "`stepper` must have an error estimate if steps follow a tolerance, such as "
-            "diffrax.Dopri8(), Tsit5(), Bosh3() and jaxfil.Rodas5P(); got "
+            "`stepper` must have an error estimate that is more than a test for instability if "
+            "steps follow a tolerance, as diffrax.Dopri8(), Tsit5(), Bosh3() and jaxfil.Rodas5P() "
+            "have; got "
             f"{told(stepper)}."
         )
     return asked
@@ -232,13 +240,14 @@ def _tableau(stepper: Any, least: int) -> Tableau:
     given, order = stepper.tableau, stepper.order(None)  # pyright: ignore[reportArgumentType]
     assert isinstance(given, diffrax.ButcherTableau) and order is not None
     c, a, b = _floats(given.c), tuple(map(_floats, given.a_lower)), _floats(given.b_sol)
-    d = _floats(given.b_error) if order >= least else ()
+    crude = _CRUDE <= order < least
+    d = _floats(given.b_error) if order >= least or crude else ()
     if given.fsal:  # the last stage is the field at the end, which the loop evaluates anyway
         c, a, b = c[:-1], a[:-1], b[:-1]
     elif d:
         # The estimate has no share of the field at the end.
         d = (*d, 0.0)
-    return ExplicitTableau(c, a, b, d, name, order=order)
+    return ExplicitTableau(c, a, b, d, name, crude=crude, order=order)
 
 
 def _combined(x: Components, h: Array, coefficients: Sequence[float], slopes: list) -> Components:

@@ -1,8 +1,8 @@
 """The decision for many surfaces, with a field that is affine in its sides, by pivoting.
 
-The conditions of `decision` are then one affine variational inequality on a box, for the weights
-and the reactions of all surfaces together (`xla.complementarity`). Its size is the number of
-surfaces, where combinations of modes are 3^m.
+The conditions of `decision` on the rates ψ = dH/dt, or on dψ/dt where ψ vanishes, are then one
+affine variational inequality on a box, for the weights and the reactions of all surfaces together
+(`xla.complementarity`). Its size is the number of surfaces, where combinations of modes are 3^m.
 """
 
 import dataclasses
@@ -59,7 +59,8 @@ class _Inequality(eqx.Module):
 def by_pivoting(question: Question) -> tuple[Components, Array]:
     """`decision.decide` by pivoting. The solution is unique if the symmetric part of the matrix is
     positive definite. Otherwise the search starts again from other sides, from the opposite of all
-    and of each, until another motion is found."""
+    and of each, until another motion is found. Returns the mode, m components, and the number of
+    solutions: 0, 1, or 2 for several."""
     posed = _inequality(question)
     z, found = _solution(question, posed)
     on, mode = pack(question.on, bool), pack(question.mode, posed.q.dtype)
@@ -76,7 +77,7 @@ def by_pivoting(question: Question) -> tuple[Components, Array]:
     holding = balanced & jnp.any((posed.matrix != 0) & both[None, :], axis=1)
     # At z = ±1 both the slide and its side hold. As in `decision`, the slide is preferred.
     sliding = posed.slid & jnp.any((posed.matrix != 0) & posed.slid[None, :], axis=1)
-    stays = _goes_on(question, posed, z)
+    stays = _stays_on_side(question, posed, z)
     if not question.slides:
         stays = stays | _is_held(question, z)
     edge, rests = balanced & sliding & ~stays, z > 0
@@ -97,12 +98,12 @@ def by_pivoting(question: Question) -> tuple[Components, Array]:
     return _like(question.mode, chosen), count
 
 
-def _goes_on(question: Question, posed: _Inequality, z: Array) -> Array:
+def _stays_on_side(question: Question, posed: _Inequality, z: Array) -> Array:
     """Surfaces on whose side the motion is already, m flags, and which it leaves by dψ/dt."""
     following = _following(question)
     if following is None or question.kept is None or question.now is None:
         return jnp.zeros_like(posed.slid)
-    bend, noise = _bend(question, following, z)
+    bend, noise = _second_rate(question, following, z)
     now = pack(question.now, z.dtype)
     on = pack(question.kept, bool) & (jnp.sign(z) == now) & question.leaves
     return on & (now * bend > noise)
@@ -115,7 +116,7 @@ def _takes_over(question: Question, posed: _Inequality, z: Array, balanced: Arra
     following, walls = _following(question), posed.walls
     if following is None:
         return jnp.zeros_like(walls)
-    bend, noise = _bend(question, following, z)
+    bend, noise = _second_rate(question, following, z)
 
     def beside(changes: Array, others: Array) -> Array:
         # Others change too, so that what they hold is held.
@@ -139,11 +140,11 @@ def _is_held(question: Question, z: Array) -> Array:
     following = _following(question)
     if following is None:
         return abs(z) >= 1
-    bend, noise = _bend(question, following, z)
+    bend, noise = _second_rate(question, following, z)
     return (abs(z) >= 1) & (z * bend >= -noise)
 
 
-def _bend(question: Question, following: Corners, z: Array) -> tuple[Array, Array]:
+def _second_rate(question: Question, following: Corners, z: Array) -> tuple[Array, Array]:
     """dψ/dt with the weights and reactions z, and its rounding."""
     sides, force = _parted(question, z)
     bend, size = following.blend(sides, _like(question.mode, z)), following.sizes()
@@ -193,7 +194,7 @@ def _solution(question: Question, posed: _Inequality) -> tuple[Array, Array]:
         return _solved(posed, plus)
     linked = jnp.any((posed.matrix != 0) & posed.slid[None, :], axis=1) & posed.walls
 
-    def goes_on(state: tuple) -> Array:
+    def unfinished(state: tuple) -> Array:
         *_, k = state
         return k < len(number)
 
@@ -212,7 +213,7 @@ def _solution(question: Question, posed: _Inequality) -> tuple[Array, Array]:
         return z, found | ok, without, k
 
     start = 0.0 * posed.q, jnp.zeros((), bool), jnp.zeros_like(posed.slid), jnp.int32(-1)
-    z, found, *_ = jax.lax.while_loop(goes_on, next_one, start)
+    z, found, *_ = jax.lax.while_loop(unfinished, next_one, start)
     return z, found
 
 
@@ -232,7 +233,7 @@ def _has_another(question: Question, posed: _Inequality, z: Array, wanted: Array
     """Whether a search from other sides finds a solution with another velocity."""
     first, number = _velocity_of(question, z), jnp.arange(len(z), dtype=jnp.int32)
 
-    def goes_on(state: tuple[Array, Array]) -> Array:
+    def unfinished(state: tuple[Array, Array]) -> Array:
         another, k = state
         return wanted & ~another & (k < len(z))
 
@@ -243,7 +244,7 @@ def _has_another(question: Question, posed: _Inequality, z: Array, wanted: Array
         return found & are_apart(first, _velocity_of(question, other)), k + 1
 
     start = jnp.zeros((), bool), jnp.full((), -1, jnp.int32)
-    another, _ = jax.lax.while_loop(goes_on, next_one, start)
+    another, _ = jax.lax.while_loop(unfinished, next_one, start)
     return another
 
 
@@ -277,7 +278,7 @@ def _inequality(question: Question) -> _Inequality:
         level = pack(replaced, bool)
     base, slopes = -direction * pack(rates[0], mode.dtype), rates.slopes()
     matrix, wall = -direction * slopes, jnp.zeros_like(active)
-    by_weight = matrix
+    by_weight = matrix  # with walls, their rows are others
     if known is not None and question.walls is not None:
         # The reaction of a surface that continues to rest is an unknown too, since the reactions of
         # other surfaces change it.

@@ -308,8 +308,7 @@ def multipliers_of_each(
 
 
 def change_of_multipliers(gains: Rows, change: Components, rests: Components) -> Components:
-    """`multipliers` for a tangent of the accelerations, in which it is linear for reverse mode
-    too."""
+    """`multipliers` for a tangent of a, in which it is linear for reverse mode too."""
     if change.size <= 2 and not gains.is_array:  # written out, without a loop
         return multipliers(gains, change, rests)
     on = rests.parts[0] if gains.is_array else None
@@ -322,8 +321,9 @@ def _among_rests(gains: Rows, rests: Components) -> Any:
     rows and columns of the identity."""
     if gains.is_array:
         (on,) = rests.parts
-        both, unit = on[:, None] & on[None, :], jnp.eye(len(on), dtype=gains.entries().dtype)
-        return select(both, jnp.asarray(gains.entries()), unit)
+        entries = jnp.asarray(gains.entries())
+        both, unit = on[:, None] & on[None, :], jnp.eye(len(on), dtype=entries.dtype)
+        return select(both, entries, unit)
     matrix, on = [], rests.parts
     for i, row in enumerate(gains.rows):
         both = [on[i] if i == j else on[i] & other for j, other in enumerate(on)]

@@ -141,6 +141,7 @@ class Components:
 def on_each(function: Callable[..., Any], *values: Any) -> Components:
     """`function` applied elementwise to vectors and scalars; to whole arrays if the vectors are
     arrays."""
+    assert any(isinstance(v, Components) for v in values), "at least one vector"
     # Vectors of different lengths fail here.
     (length,) = {len(v.parts) for v in values if isinstance(v, Components)}
     columns = [v.parts if isinstance(v, Components) else (v,) * length for v in values]
@@ -189,7 +190,7 @@ def _sum(v: Array) -> Array:
     return v if v.ndim == 0 else jnp.sum(v)
 
 
-def without_last(v: Components, k: int, flag: Array) -> Components:
+def with_last_zeroed(v: Components, k: int, flag: Array) -> Components:
     """The same numbers, with zeros in place of the last k ≥ 1 of them where the flag is set."""
     if v.is_array:
         # A mask, since JAX writes an assignment to a slice as a scatter, which no kernel contains.

@@ -397,3 +397,69 @@ def test_an_endless_avalanche_is_zeno_in_a_table_of_any_size(max_events):
     sol = solve(Pair(jnp.asarray(1.2)), [0.0, 0.0], 2.0, max_events=max_events)
     assert jf.RESULTS.names(sol.result) == "zeno"
     assert_within(sol.t_final, 1.0, 8 * EPS)
+
+
+class Pulsed(jf.System):
+    """v' = I − v; at v = 1 a neuron is set to 0 and the others are kicked by its weights. A clock
+    raises all of them."""
+
+    weights: jax.Array
+    drive: jax.Array
+    slides: ClassVar[bool] = False
+    clocks: ClassVar[tuple] = (jf.Clock(0.9, 0.37),)
+
+    def vector_field(self, t, x, side):
+        return self.drive - x
+
+    def switching(self, t, x):
+        return 1 - x
+
+    def reset(self, t, x, surface):
+        number = jnp.arange(x.shape[0], dtype=jnp.int32)
+        return jnp.where(number == surface, 0.0, x + self.weights[surface])
+
+    def tick(self, t, x, clock):
+        return x + 0.11
+
+
+def fired(weights, drive, v, end):
+    """The voltages of `Pulsed` at the end, by logarithms."""
+    v, t, ticks = v.copy(), 0.0, 0
+    while True:
+        waits = np.log((drive - v) / (drive - 1))
+        wait = min(waits.min(), 0.37 + 0.9 * ticks - t, end - t)
+        v, t = drive + (v - drive) * np.exp(-wait), t + wait
+        if t >= end - 1e-13:
+            return v
+        if wait == waits.min():
+            due = [int(waits.argmin())]
+        else:
+            v, ticks = v + 0.11, ticks + 1
+            due = list(np.flatnonzero(v > 1))
+        while due:
+            v = np.where(np.arange(v.size) == due[0], 0.0, v + weights[due[0]])
+            due = list(np.flatnonzero(v > 1))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n", [3, 4])
+def test_a_network_is_run_backward(n):
+    """In a loop with checkpoints, where surfaces are numbers and where they are an array."""
+    rng = np.random.default_rng(n)
+    weights = rng.uniform(0.02, 0.12, (n, n))
+    np.fill_diagonal(weights, 0.0)
+    drive, v, end = np.linspace(1.25, 1.6, n), rng.uniform(0.1, 0.8, n), 2.0
+
+    def loss(weights):
+        run = dict(adjoint=diffrax.RecursiveCheckpointAdjoint(), stepper=diffrax.Tsit5())
+        sol = solve(Pulsed(weights, jnp.asarray(drive)), v, end, 0.05, **run)
+        return jnp.sum(sol.x_final**2), sol.x_final
+
+    slope, x = jax.grad(loss, has_aux=True)(jnp.asarray(weights))
+    np.testing.assert_allclose(x, fired(weights, drive, v, end), rtol=0, atol=1e-6)
+    h = 1e-6
+    for i, j in ((0, 1), (1, 0), (n - 1, 0)):
+        move = np.zeros((n, n))
+        move[i, j] = h
+        ahead, behind = ((fired(weights + s * move, drive, v, end) ** 2).sum() for s in (1, -1))
+        np.testing.assert_allclose(slope[i, j], (ahead - behind) / (2 * h), rtol=0, atol=2e-5)
