@@ -273,21 +273,24 @@ def _finite(point: EquilibriumPoint) -> np.ndarray:
     return values[np.isfinite(np.real(values))]
 
 
-def _hopf(point: EquilibriumPoint) -> float:
-    """The product of all sums of two eigenvalues, each scaled, which changes its sign where a pair
-    is on the imaginary axis."""
-    values = _finite(point)
+def _sums_of_two(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The sums of all two eigenvalues, relative to their sizes, and the first one of each."""
     i, j = np.triu_indices(values.size, 1)
     size = np.maximum(abs(values[i]) + abs(values[j]), np.finfo(float).tiny)
-    return float(np.real(np.prod((values[i] + values[j]) / size))) if i.size else np.nan
+    return (values[i] + values[j]) / size, values[i]
+
+
+def _hopf(point: EquilibriumPoint) -> float:
+    """The product of all sums of two eigenvalues, which changes its sign where a pair is on the
+    imaginary axis."""
+    sums, _ = _sums_of_two(_finite(point))
+    return float(np.real(np.prod(sums))) if sums.size else np.nan
 
 
 def _is_pair(point: EquilibriumPoint) -> bool:
-    """Whether the two eigenvalues with the smallest sum are a complex pair."""
-    values = _finite(point)
-    i, j = np.triu_indices(values.size, 1)
-    k = np.argmin(abs(values[i] + values[j]))
-    one = complex(values[i[k]])
+    """Whether the two eigenvalues with the smallest relative sum are a complex pair."""
+    sums, first = _sums_of_two(_finite(point))
+    one = complex(first[np.argmin(abs(sums))])
     return abs(one.imag) > abs(one.real)
 
 

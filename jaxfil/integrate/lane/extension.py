@@ -18,7 +18,7 @@ from jaxtyping import Array
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState, Motion, StepEnd
 from jaxfil.integrate.lane.step_length import Length
-from jaxfil.integrate.system.components import Polynomial
+from jaxfil.integrate.system.smooth_field import Polynomial
 from jaxfil.model.outcomes import RESULTS
 
 

@@ -16,7 +16,8 @@ from jaxtyping import Array
 
 from jaxfil.integrate.lane.problem import TimeGrid
 from jaxfil.integrate.steppers.explicit import Trial
-from jaxfil.integrate.system.components import Components, Polynomial, any_of
+from jaxfil.integrate.system.components import Components, any_of
+from jaxfil.integrate.system.smooth_field import Polynomial
 from jaxfil.model.outcomes import RESULTS
 
 Column: TypeAlias = Any

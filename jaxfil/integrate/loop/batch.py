@@ -47,7 +47,8 @@ from jaxfil.integrate.loop.trial import trial_step
 from jaxfil.integrate.steppers.explicit import Trial
 from jaxfil.integrate.steppers.taylor import TaylorTableau
 from jaxfil.integrate.surfaces.filippov import ModeField
-from jaxfil.integrate.system.components import Components, Polynomial
+from jaxfil.integrate.system.components import Components
+from jaxfil.integrate.system.smooth_field import Polynomial
 from jaxfil.xla.select import select, select_all
 
 _BATCH = "batch"

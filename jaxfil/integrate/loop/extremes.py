@@ -38,8 +38,9 @@ from jaxfil.integrate.loop.window import Window
 from jaxfil.integrate.steppers.explicit import Tableau, compact_step
 from jaxfil.integrate.steppers.taylor import TaylorTableau
 from jaxfil.integrate.surfaces.filippov import ModeField
-from jaxfil.integrate.system.components import Components, Polynomial, pack, side_of
+from jaxfil.integrate.system.components import Components, pack, side_of
 from jaxfil.integrate.system.lowered import ComponentSystem
+from jaxfil.integrate.system.smooth_field import Polynomial
 from jaxfil.xla.second_derivative import add_second_derivative
 from jaxfil.xla.select import select, select_all
 

@@ -26,15 +26,8 @@ from jaxfil.integrate.steppers.error_estimate import may_be_too_long
 from jaxfil.integrate.steppers.explicit import Trial, step, trial_of
 from jaxfil.integrate.steppers.taylor import TaylorTableau
 from jaxfil.integrate.surfaces.filippov import ModeField
-from jaxfil.integrate.system.components import (
-    Polynomial,
-    all_finite,
-    any_of,
-    maximum,
-    on_each,
-    side_of,
-    where,
-)
+from jaxfil.integrate.system.components import all_finite, any_of, maximum, on_each, side_of, where
+from jaxfil.integrate.system.smooth_field import Polynomial
 from jaxfil.xla.select import select, select_all
 
 

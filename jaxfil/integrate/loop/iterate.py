@@ -57,14 +57,8 @@ from jaxfil.integrate.loop.judge import Judgement
 from jaxfil.integrate.loop.start import initial_state
 from jaxfil.integrate.loop.trial import Tried, end_of, try_step, try_step_in_reverse
 from jaxfil.integrate.steppers.explicit import Trial
-from jaxfil.integrate.system.components import (
-    Components,
-    Polynomial,
-    all_finite,
-    any_of,
-    maximum,
-    where,
-)
+from jaxfil.integrate.system.components import Components, all_finite, any_of, maximum, where
+from jaxfil.integrate.system.smooth_field import Polynomial
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.xla.select import select, select_all
 from jaxfil.xla.valid_derivative import only_if_valid

@@ -19,7 +19,8 @@ from jaxfil.integrate.lane.state import LoopState, StepEnd, is_running
 from jaxfil.integrate.lane.step_length import Length
 from jaxfil.integrate.loop.halving import Doubt, doubted
 from jaxfil.integrate.steppers.explicit import Trial
-from jaxfil.integrate.system.components import Polynomial, all_finite, any_of
+from jaxfil.integrate.system.components import all_finite, any_of
+from jaxfil.integrate.system.smooth_field import Polynomial
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.xla.select import select
 

@@ -22,15 +22,8 @@ from jaxfil.integrate.loop.tail import known_part
 from jaxfil.integrate.steppers.explicit import Trial, trial_of
 from jaxfil.integrate.steppers.taylor import TaylorTableau
 from jaxfil.integrate.surfaces.filippov import ModeField
-from jaxfil.integrate.system.components import (
-    Components,
-    Polynomial,
-    any_of,
-    horner,
-    least,
-    on_each,
-    where,
-)
+from jaxfil.integrate.system.components import Components, any_of, least, on_each, where
+from jaxfil.integrate.system.smooth_field import Polynomial, horner
 from jaxfil.xla.select import select
 
 

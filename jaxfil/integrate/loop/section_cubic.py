@@ -17,16 +17,8 @@ from jaxfil.integrate.lane.state import LoopState, Motion
 from jaxfil.integrate.lane.step_length import typical_step
 from jaxfil.integrate.loop.section_state import Watch
 from jaxfil.integrate.surfaces.sections import Sight, WatchedSections, see
-from jaxfil.integrate.system.components import (
-    Components,
-    Polynomial,
-    any_of,
-    horner,
-    largest,
-    on_each,
-    sign,
-    where,
-)
+from jaxfil.integrate.system.components import Components, any_of, largest, on_each, sign, where
+from jaxfil.integrate.system.smooth_field import Polynomial, horner
 from jaxfil.xla.select import select
 
 # Orders for each comparison in a step. A step of order p extends over some 0.3 p radians of the

@@ -56,7 +56,6 @@ from jaxfil.integrate.loop.section_updates import after_crossing, after_minimum,
 from jaxfil.integrate.surfaces.sections import Sight, WatchedSections, beyond_newton, see
 from jaxfil.integrate.system.components import (
     Components,
-    Polynomial,
     all_finite,
     any_of,
     first_set,
@@ -66,6 +65,7 @@ from jaxfil.integrate.system.components import (
     total,
     where,
 )
+from jaxfil.integrate.system.smooth_field import Polynomial
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.xla.second_derivative import add_second_derivative
 from jaxfil.xla.select import select, select_all

@@ -21,7 +21,8 @@ from jaxtyping import Array
 
 from jaxfil.integrate.contacts.cubic import NEVER
 from jaxfil.integrate.lane.problem import Problem
-from jaxfil.integrate.system.components import Polynomial, least, on_each
+from jaxfil.integrate.system.components import least, on_each
+from jaxfil.integrate.system.smooth_field import Polynomial
 from jaxfil.xla.select import select
 
 

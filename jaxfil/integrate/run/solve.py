@@ -94,11 +94,11 @@ def solve(
       by default several thousand; a smaller `max_events` makes them shorter.
     - `max_events`: length of the event table; None for no table and no limit.
     - `max_steps`: limit of the loop's iterations (a step takes one, a contact or a crossing about
-      four, a tick two, a saving time one). By default 32 for each step, and 100,000 for contacts.
-      Where an array of that length is kept (`steps`, `dense`, reverse mode) it is 1 for each step,
-      6 for each of `max_events` (of 256 if that is None), 1 for each saving time, and 16, rounded
-      up to a power of two; it is then needed if the span or `dt` is traced, or there are many
-      ticks, or more contacts and crossings.
+      four, a tick two, a saving time one). By default 32 for each step and tick, and 100,000 for
+      contacts. Where an array of that length is kept (`steps`, `dense`, reverse mode) it is 1 for
+      each step, 6 for each of `max_events` (of 256 if that is None), 1 for each saving time, and
+      16, rounded up to a power of two; it is then needed if the span or `dt` is traced, or there
+      are many ticks, or more contacts and crossings.
     - `adjoint`: with `diffrax.ForwardMode()`, `jax.grad` and `jax.vjp` compute the forward
       derivative by each number that varies, and transpose the result; for hundreds of parameters,
       `diffrax.RecursiveCheckpointAdjoint()` runs the loop backward, with second derivatives by
@@ -284,8 +284,9 @@ def _problem(
     field = build(system, x0, compact=options.compact, transposed=options.reverse)
     watched = sections_of_run(sections, system, field, x0, options.reverse)
     grid = _time_grid(t0, t1, dt, options)
-    # Limited, since the budget of a solve has its own default for steps that follow a tolerance.
-    return problem_of(field, tableau_of(stepper), grid, recording, watched, limited=True)
+    # A budget that is a user's, the length of an array, or the default of a tolerance is a limit.
+    limited = options.budget is not None
+    return problem_of(field, tableau_of(stepper), grid, recording, watched, limited=limited)
 
 
 def _time_grid(t0: Array, t1: Array, dt: Array, options: Options) -> TimeGrid:

@@ -25,13 +25,8 @@ from jaxfil.integrate.steppers.rosenbrock import (
     rosenbrock_step,
 )
 from jaxfil.integrate.steppers.taylor import Taylor, TaylorTableau, error_at
-from jaxfil.integrate.system.components import (
-    Components,
-    Forcing,
-    Polynomial,
-    SmoothField,
-    on_each,
-)
+from jaxfil.integrate.system.components import Components, Forcing, on_each
+from jaxfil.integrate.system.smooth_field import Polynomial, SmoothField
 from jaxfil.model.argument import told
 from jaxfil.xla.select import select
 

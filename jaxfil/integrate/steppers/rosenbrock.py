@@ -25,7 +25,8 @@ from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.integrate.steppers.adaptive import Adaptive
-from jaxfil.integrate.system.components import Components, SmoothField, on_each, scalars
+from jaxfil.integrate.system.components import Components, on_each, scalars
+from jaxfil.integrate.system.smooth_field import SmoothField
 from jaxfil.xla.small_linear import Factors, factored
 
 

@@ -22,7 +22,8 @@ from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.integrate.steppers.adaptive import Adaptive
-from jaxfil.integrate.system.components import Components, Polynomial
+from jaxfil.integrate.system.components import Components
+from jaxfil.integrate.system.smooth_field import Polynomial
 from jaxfil.model.argument import is_whole, told
 from jaxfil.xla.series import AHEAD, Expansion, Series, kept
 from jaxfil.xla.series_jumps import kinks_of

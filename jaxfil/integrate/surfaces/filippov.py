@@ -36,8 +36,6 @@ from jaxfil.integrate.surfaces.weights import determinant, held_together, weight
 from jaxfil.integrate.system.components import (
     Components,
     Forcing,
-    Polynomial,
-    SmoothField,
     any_of,
     largest,
     least,
@@ -46,6 +44,7 @@ from jaxfil.integrate.system.components import (
     where,
 )
 from jaxfil.integrate.system.lowered import ComponentSystem
+from jaxfil.integrate.system.smooth_field import Polynomial, SmoothField
 from jaxfil.xla.moves import taken
 from jaxfil.xla.select import select, select_all
 

@@ -15,8 +15,9 @@ from jaxtyping import Array
 
 from jaxfil.integrate.steppers.taylor import solved
 from jaxfil.integrate.surfaces import unilateral
-from jaxfil.integrate.system.components import Components, Polynomial, scalars
+from jaxfil.integrate.system.components import Components, scalars
 from jaxfil.integrate.system.lowered import ComponentSystem
+from jaxfil.integrate.system.smooth_field import Polynomial
 from jaxfil.integrate.system.squares import squared_series
 from jaxfil.xla.select import select
 from jaxfil.xla.series import (

@@ -446,3 +446,22 @@ def test_a_threshold_that_jumps_past_the_state_carries_it(num_surfaces):
     kinds = [jf.EventKind(int(kind)).name for kind in sol.events.kinds[: sol.num_events]]
     assert kinds == ["carry", "crossing"]
     np.testing.assert_allclose(sol.events.ts[:2], [0.5, 1.2], rtol=1e-13)
+
+
+class Sampled(jf.System):
+    """x' = u − x, with u = 1 − 2x measured at the ticks of a clock."""
+
+    clocks: ClassVar[tuple] = (jf.Clock(1e-3),)
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1] - x[0], 0 * t])
+
+    def tick(self, t, x, clock):
+        return jnp.stack([x[0], 1 - 2 * x[0]])
+
+
+def test_a_long_run_of_a_fast_clock_needs_no_limit():
+    """At rest x = u = 1/3. There are 100 ticks in a step."""
+    sol = solve(Sampled(), [0.0, 0.0], 80.0, max_events=None)
+    assert sol.result == jf.RESULTS.successful
+    assert_within(sol.x_final, [1 / 3, 1 / 3], 512 * EPS)
