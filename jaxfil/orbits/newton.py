@@ -217,9 +217,9 @@ def _judge(state: _State, at: Evaluation, step: Array) -> tuple[_State, Array]:
     forced = state.damping <= _SHORTEST
     accepted = first | (sound & (falls | forced))
     # An unknown that is zero to half the digits of its earlier size is zero.
+    largest = jnp.maximum(state.unknown_scale, at.unknown_scale)
     unknown_scale = jnp.maximum(jnp.sqrt(eps) * state.unknown_scale, at.unknown_scale)
     length = jnp.max(abs(step) / unknown_scale)
-
     # Not if the step is not finite, or so long that only rounding makes the Jacobian regular.
     solvable = length <= eps**_ENDLESS
     # The next step would be the error of this point, and is not taken.
@@ -227,12 +227,17 @@ def _judge(state: _State, at: Evaluation, step: Array) -> tuple[_State, Array]:
     # A full step that is already short and cannot reduce the residual, whose rounding is larger.
     floor = ~accepted & (state.length <= eps**FLOOR) & (state.damping == 1)
     # An iteration that alternates across a kink does not reduce the residual in the long run.
-    better = accepted & (size < 0.9 * state.least)
+    # Nor does one that is within the rounding of the largest scales.
+    rest = jnp.max(abs(step) / largest)
+    calm = (rest <= CONVERGED * eps) & (size <= CONVERGED * eps)
+    better = accepted & (size < 0.9 * state.least) & ~calm
     patience = select(better, 0, state.patience + accepted.astype(jnp.int32))
     # At the guess there is no shorter step to return to.
     failed = first & ~sound
     singular = accepted & sound & ~solvable & ~converged
     stalled = (patience >= _PATIENCE) | (~accepted & forced)
+    # An unknown that is zero may have the rounding of larger ones, which no step reduces.
+    floor |= stalled & accepted & sound & calm
     result = RESULTS.where(stalled, RESULTS.newton_stalled, state.result)
     result = RESULTS.where(singular, RESULTS.newton_singular, result)
     unknown = failed & (at.result == RESULTS.successful)
@@ -243,9 +248,7 @@ def _judge(state: _State, at: Evaluation, step: Array) -> tuple[_State, Array]:
         z=select(accepted, trial, state.z),
         size=select(accepted, size, state.size),
         equation_scale=select(accepted, scale, state.equation_scale),
-        unknown_scale=select(
-            accepted, jnp.maximum(state.unknown_scale, at.unknown_scale), state.unknown_scale
-        ),
+        unknown_scale=select(accepted, largest, state.unknown_scale),
         step=select(accepted & solvable, step, state.step),
         length=select(accepted, length, state.length),
         # Return to the full step soon, because only it converges quadratically.

@@ -3,13 +3,16 @@
 Newton's method does not distinguish the sides of a wall, and may converge to such an orbit.
 """
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxfil.integrate.contacts.beginning import thrown_at
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.run.solution import Events
+from jaxfil.integrate.surfaces import unilateral
 from jaxfil.integrate.system.components import pack
+from jaxfil.xla.select import select
 
 
 def is_behind(
@@ -24,7 +27,36 @@ def is_behind(
     if not problem.system.resets:
         return jnp.zeros((), bool)
     thrown = thrown_at(problem, problem.system.unpack(x))
-    behind = (mode < 0) & pack(thrown.back, bool)
+    gains = pack(thrown.constraints.impulse.gains.diagonal(), x.dtype)
+    behind = (mode < 0) & pack(thrown.back, bool) & _leaves_slowly(problem, x, gains)
     if events is not None:
         behind = behind & ~jnp.any(events.modes > 0, axis=0)
     return jnp.any(behind)
+
+
+def _leaves_slowly(
+    problem: Problem, x: Float[Array, " n"], gains: Float[Array, " m"]
+) -> Bool[Array, " m"]:
+    """Whether a motion that comes slowly to a surface leaves it slowly too, given 1 + e of each.
+
+    A switch that stops one of several flows has the derivative of a wall with e = 0, but leaves the
+    rate of the other flows. Far from its surface `thrown_at` does not tell them apart.
+    """
+    system, t, eps = problem.system, problem.grid.t0, float(jnp.finfo(x.dtype).eps)
+    above = system.for_each_surface(jnp.ones_like(t))
+
+    def psi(x: Array) -> Array:
+        return pack(unilateral.contact_rates(system, t, system.unpack(x), above), x.dtype)
+
+    def of(j: Array, rate: Array, slope: Array, gain: Array) -> Array:
+        square = slope @ slope
+        depth = eps**0.5 * (abs(slope) @ abs(x) + abs(rate))
+        slow = x - (rate + depth) / select(square == 0, 1, square) * slope
+        after = pack(system.reset(t, system.unpack(slow), j), x.dtype)
+        came, went = psi(slow)[j], psi(after)[j]
+        # `slow` is one step of Newton's method away from x, and not exact on a curved surface.
+        noise = eps**0.5 * (abs(slope) @ (abs(slow) + abs(after)))
+        return abs(went) <= 2 * gain * abs(came) + noise
+
+    numbers = jnp.arange(gains.shape[0], dtype=jnp.int32)
+    return jax.vmap(of)(numbers, psi(x), jax.jacfwd(psi)(x), gains)

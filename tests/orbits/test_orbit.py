@@ -494,6 +494,34 @@ def test_an_orbit_that_is_zero_is_found(cubic, guess, dtype):
     assert_allclose(abs(orbit.multipliers), np.exp(-0.1), rtol=32 * np.finfo(dtype).eps ** 0.75)
 
 
+class Unexcited(jf.System):
+    """A mass that is shaken, and one that comes to rest at 1/5, where its speed is the rounding of
+    its force."""
+
+    k: jax.Array
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        force = jnp.cos(t) - 4 * x[0] - x[2], -self.k * (x[1] - 0.2) - x[3]
+        return jnp.stack([x[2], x[3], *force])
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_a_component_that_is_zero_but_for_the_rounding_of_others(dtype):
+    """x = (3 cos t + sin t)/10."""
+
+    def one(k, guess):
+        return jf.periodic_orbit(Unexcited(k), guess, throw=False)
+
+    k, guess = np.linspace(1, 12, 64), np.random.default_rng(0).uniform(0, 1, (64, 4))
+    guess[::2, 1:] = 0
+    k, guess = (jnp.asarray(v, dtype) for v in (k, guess))
+    found = eqx.filter_jit(eqx.filter_vmap(one))(k, guess)
+    assert outcome_names(found.result).tolist() == ["successful"] * 64
+    error = 256 * np.finfo(dtype).eps + 1e-9
+    assert_allclose(found.x0, np.tile([0.3, 0.2, 0.1, 0.0], (64, 1)), rtol=0, atol=error)
+
+
 @pytest.mark.parametrize("wall, damping", [(-1.0, 0.1), (-9.0, 0.0)])
 def test_an_orbit_behind_a_wall_is_told(wall, damping):
     """It hits the wall from behind, or stands still at t0, where no wall would change it."""
@@ -502,6 +530,64 @@ def test_an_orbit_behind_a_wall_is_told(wall, damping):
     assert outcome_names(orbit.result) == "behind_surface" and not bool(orbit.stable)
     with pytest.raises(Exception, match="lies behind a surface that throws back"):
         jf.periodic_orbit(behind, jnp.asarray([1.0, 0.0]))
+
+
+class Curved(jf.System):
+    """An oscillator behind a circle that throws back with e = e₀ |s|^(−p) at a speed s."""
+
+    e0: jax.Array
+    p: jax.Array
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[2], x[3], jnp.cos(t) - 4 * x[0] - x[2], -9 * (x[1] - 0.2) - x[3]])
+
+    def switching(self, t, x):
+        return x[0] ** 2 + x[1] ** 2 - 4
+
+    def reset(self, t, x, surface):
+        normal = x[:2] / jnp.sqrt(x[:2] @ x[:2])
+        speed = normal @ x[2:]
+        size = jnp.sqrt(speed**2 + 1e-12)
+        thrown = (1 + self.e0 * size**-self.p) * speed * normal
+        return jnp.concatenate([x[:2], x[2:] - thrown])
+
+
+@pytest.mark.slow
+def test_an_orbit_behind_a_curved_wall_is_told():
+    """With e constant, or falling with the speed."""
+
+    def one(e0, p):
+        return jf.periodic_orbit(Curved(e0, p), jnp.zeros(4), throw=False).result
+
+    e0, p = jnp.array([0.8, 0.7, 0.3]), jnp.array([0.0, 0.2, 0.05])
+    found = eqx.filter_jit(eqx.filter_vmap(one))(e0, p)
+    assert outcome_names(found).tolist() == ["behind_surface"] * 3
+
+
+class Heated(jf.System):
+    """x' = 30 − 4 sin t − x + h u, with a heater u that is put off at x = 22 and on at x = 18, as a
+    product, which has the derivative of a wall with e = 0."""
+
+    h: jax.Array
+    slides = False
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([30 - 4 * jnp.sin(t) - x[0] + self.h * x[1], 0 * t])
+
+    def switching(self, t, x):
+        return jnp.stack([22 - x[0], x[0] - 18])
+
+    def reset(self, t, x, surface):
+        return x.at[1].set(jnp.where(surface == 0, 0.0, 1.0))
+
+
+def test_an_orbit_above_the_threshold_of_a_heater():
+    """In summer x = 30 + 2 (cos t − sin t)."""
+    orbit = jf.periodic_orbit(Heated(jnp.array(25.0)), jnp.array([30.0, 0.0]))
+    assert_allclose(orbit.x0, [32.0, 0.0], rtol=0, atol=1e-10)
+    assert_array_equal(orbit.first_mode, [-1, 1])
 
 
 class Stove(jf.System):
