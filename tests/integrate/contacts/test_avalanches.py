@@ -442,7 +442,7 @@ def fired(weights, drive, v, end):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("n", [3, 4])
+@pytest.mark.parametrize("n", [pytest.param(3, marks=pytest.mark.release), 4])
 def test_a_network_is_run_backward(n):
     """In a loop with checkpoints, where surfaces are numbers and where they are an array."""
     rng = np.random.default_rng(n)
