@@ -8,8 +8,10 @@ fourth digit. Each of several causes at one time has a switch of its own.
 """
 
 import dataclasses
+import functools as ft
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
@@ -33,6 +35,7 @@ from jaxfil.integrate.contacts.resets import Impact
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import FreeStep, LoopState, Motion, StepEnd
 from jaxfil.integrate.lane.step_length import Length, typical_step
+from jaxfil.integrate.steppers.error_estimate import terms_in_step
 from jaxfil.integrate.surfaces import filippov, unilateral, weights as sliding_weights
 from jaxfil.integrate.surfaces.corners import Corners, are_coupled
 from jaxfil.integrate.surfaces.entering import fields_from_here, held_from_here
@@ -96,17 +99,40 @@ def _surfaces_at(
 
 
 def _with_rounding_of_forces(
-    problem: Problem, state: LoopState, length: Length, at: Surfaces, fields: Corners
+    problem: Problem, state: LoopState, length: Length, at: Surfaces, fields: Corners, x: Components
 ) -> Surfaces:
     """The surfaces with additional rounding for a state that is held on one, or has just left it.
     The forces that hold it are rounded in proportion to their size, however small the state. A
     surface that the state cannot leave because others hold it then causes no contact."""
+    system, t = problem.system, problem.grid.t0 + length.end
     since = select(any_of(~state.armed), abs(stop_gradient(length.h)), 0.0)
     # While a state is held, rounding accumulates over many steps.
     since = select(state.held, typical_step(problem, state), since)
     size = where(since > 0, since * stop_gradient(fields.sizes()), 0.0)
+    if are_coupled(system):
+        # That of a force moves the position too, whose rate is zero but for this.
+        given = stop_gradient((t, x, since, size, unilateral.sides_of(state.motion.mode)))
+        size = system.where_any(since > 0, ft.partial(_passed_on, system), _as_it_is, *given)
     more = NOISE * problem.system.eps * (abs(stop_gradient(at.normals)) @ size)
     return dataclasses.replace(at, noise=at.noise + more)
+
+
+def _passed_on(
+    system: ComponentSystem,
+    t: Array,
+    x: Components,
+    h: Array,
+    size: Components,
+    sides: Components,
+) -> Components:
+    """Changes of the state in a step of length h, of these sizes, with what they change in turn."""
+    _, push = jax.linearize(lambda t, x: system.field(t, x, sides), t, x)
+    at = 0 * t, 0 * x, size / select(h > 0, h, 1)
+    return maximum(size, terms_in_step(system.n, h, at, push))
+
+
+def _as_it_is(t: Array, x: Components, h: Array, size: Components, sides: Components) -> Components:
+    return size
 
 
 def evaluate_step_end(
@@ -138,7 +164,7 @@ def evaluate_step_end(
         later = led.next
     fields, rates = filippov.corners(system, t, x, forcing=forcing)
     if system.slides or are_coupled(system):
-        at = _with_rounding_of_forces(problem, state, length, at, fields)
+        at = _with_rounding_of_forces(problem, state, length, at, fields, x)
     choice = decided(problem, state, (t, x), (fields, rates), at, led, later)
     whole = as_planned(state, choice, later)
     choice, again, redone = in_turn(problem, state, maps, whole, later)

@@ -96,7 +96,7 @@ def relative_error(
 
 def _terms_of_step(system: ComponentSystem, step: SmoothStep, sides: Components) -> Components:
     """The size of the terms summed in a step."""
-    return _terms(system.n, step.h, *_in_the_middle(system, step, sides))
+    return terms_in_step(system.n, step.h, *_in_the_middle(system, step, sides))
 
 
 def _in_the_middle(
@@ -152,7 +152,7 @@ def _is_gross(
         large = max(sum(map(abs, row)) for row in tableau.coupling)
         rounded = large * _damped_terms(h, middle, push)
     else:
-        rounded = _terms(system.n, h, middle, push)
+        rounded = terms_in_step(system.n, h, middle, push)
     faint = measure.like(jnp.zeros_like(h))
     if system.n > _CHAIN:
         faint = _reached(system.n, h, push, measure)
@@ -195,7 +195,7 @@ def _measure(
     return maximum(moved, state)
 
 
-def _terms(
+def terms_in_step(
     n: int, h: Array, at: tuple[Array, Components, Components], push: Callable
 ) -> Components:
     """The size of the terms summed in a step of length h, given a time, the state and the field.

@@ -10,6 +10,7 @@ Problem, 1992), and event-driven code in SciPy.
 from typing import ClassVar
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -413,3 +414,55 @@ def test_a_wall_that_moves_takes_a_stuck_mass_along(t1):
     assert outcome_names(sol.result) == "successful"
     assert_within(sol.x_final, exact(F), 1e-13)
     assert_within(jax.jacfwd(lambda F: run(F).x_final)(F), jax.jacfwd(exact)(F), 1e-12)
+
+
+class Pushed(jf.System):
+    """x'' = A cos ωt − F sgn x' before a wall at −d, on which it does not bounce."""
+
+    a: jax.Array
+    d: jax.Array
+    wall_first: bool = eqx.field(static=True)
+
+    def vector_field(self, t, x, side):
+        friction = 0.6 * side[1 if self.wall_first else 0]
+        return jnp.stack([x[1], self.a * jnp.cos(0.7 * t) - friction])
+
+    def switching(self, t, x):
+        both = [x[0] + self.d, x[1]]
+        return jnp.stack(both if self.wall_first else both[::-1])
+
+    def reset(self, t, x, surface):
+        return jnp.where(surface == (0 if self.wall_first else 1), x * jnp.array([1.0, 0.0]), x)
+
+
+@pytest.mark.parametrize("wall_first", [True, False])
+def test_a_mass_that_friction_holds_at_a_wall_leaves_it(wall_first):
+    """It falls on the wall, is pressed against it, then held by its friction alone until A cos ωt
+    = F, and then free. At a wall at zero the rounding of x is that of the forces that hold it."""
+
+    def exact(a, d):
+        w = 0.7
+        start = (2 * jnp.pi - jnp.arccos(0.6 / a)) / w
+        s = 9.0 - start
+        turn = jnp.cos(9 * w) - jnp.cos(start * w)
+        x = -d - a / w**2 * turn - a / w * jnp.sin(start * w) * s - 0.3 * s**2
+        return x, a / w * (jnp.sin(9 * w) - jnp.sin(start * w)) - 0.6 * s
+
+    @jax.jit
+    @jax.vmap
+    def run(a, d):
+        def end(a):
+            system = Pushed(a, d, wall_first)
+            options = dict(stepper=diffrax.Dopri8(), t0=np.pi / 0.7)
+            sol = solve(system, jnp.stack([0.3 - d, 0 * d]), 9.0, 0.03, **options)
+            return sol.x_final, (sol.x_final, sol.num_events)
+
+        return jax.jacfwd(end, has_aux=True)(a)
+
+    a, d = jnp.array([1.5, 1.5, 1.2, 2.0]), jnp.array([0.0, 0.2, 0.0, 1e-9])
+    slopes, (x, counts) = run(a, d)
+    values = jax.vmap(exact)(a, d)
+    by_a = jax.vmap(jax.jacfwd(exact))(a, d)
+    np.testing.assert_allclose(x, np.stack(values, axis=1), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(slopes, np.stack(by_a, axis=1), rtol=0, atol=1e-11)
+    np.testing.assert_array_equal(counts, 4)
