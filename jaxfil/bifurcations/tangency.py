@@ -171,16 +171,15 @@ def conditions(system: System, t: Array, x: Float[Array, " n"], tangency: Tangen
 
 def kind_of(family: Int[Array, ""], found: Conditions) -> Int[Array, ""]:
     """The number in `FAMILIES` of the kind with these conditions; −1 without one."""
-    # Where both rates vanish together there is no sliding region.
+    # Where both rates vanish together, as in a continuous field, there is no sliding region.
     scale, eps = abs(found.other_rate) + abs(found.rate), float(jnp.finfo(found.h.dtype).eps)
     slides = (found.other_rate > 0) & (scale > jnp.sqrt(eps) * abs(found.bend))
     visible, no = found.bend > 0, jnp.zeros((), bool)
-    arrives = found.other_rate > 0
     flags = [
         (visible & ~slides, visible & slides, no, no, no),
         # On a slide Ḣ_s is negative within the sliding region, and reaches zero from below.
-        (no, no, (found.slide_bend < 0) & arrives, no, no),
-        (no, no, no, arrives & visible, arrives & (found.bend < 0)),
+        (no, no, (found.slide_bend < 0) & slides, no, no),
+        (no, no, no, slides & visible, slides & (found.bend < 0)),
     ]
     kinds = jnp.stack([jnp.stack(row) for row in flags])[family]
     return select(jnp.any(kinds), jnp.argmax(kinds), -1)

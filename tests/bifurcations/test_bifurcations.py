@@ -900,3 +900,29 @@ def test_a_margin_has_derivatives_by_a_number_that_functions_close_over():
     margin, slope = jax.value_and_grad(lambda k: jf.grazing_margin(driven(k), orbit))(1.0)
     np.testing.assert_allclose(margin, 3 - 1.25**-0.5, rtol=1e-9)
     np.testing.assert_allclose(slope, -(1.25**-0.5), rtol=1e-8)
+
+
+class Bilinear(jf.System):
+    """x'' + x'/10 + x + 8 (x − 1)₊ = A cos ωt, whose field is continuous."""
+
+    a: jax.Array
+    slides = False
+    period = 2 * np.pi / 1.6
+
+    def vector_field(self, t, x, side):
+        spring = 4 * (1 + side) * (x[0] - 1)
+        return jnp.stack([x[1], self.a * jnp.cos(1.6 * t) - x[0] - 0.1 * x[1] - spring])
+
+    def switching(self, t, x):
+        return x[0] - 1
+
+
+def test_a_continuous_field_has_no_sliding_bifurcation():
+    """The linear amplitude is 1 at A = |1 − ω² + 0.1 iω|; the other side's rate is rounding."""
+    grazing = np.hypot(1 - 1.6**2, 0.1 * 1.6)
+    for start in (0.7, 0.9):
+        system = Bilinear(jnp.array(start * grazing))
+        orbit = jf.periodic_orbit(system, jnp.zeros(2), transient=60)
+        (found,) = jf.find_bifurcations(system, "a", orbit, stop=1.1 * grazing)
+        assert found.kind == "grazing"
+        assert_allclose(found.value, grazing, rtol=1e-12)
