@@ -925,4 +925,4 @@ def test_a_continuous_field_has_no_sliding_bifurcation():
         orbit = jf.periodic_orbit(system, jnp.zeros(2), transient=60)
         (found,) = jf.find_bifurcations(system, "a", orbit, stop=1.1 * grazing)
         assert found.kind == "grazing"
-        assert_allclose(found.value, grazing, rtol=1e-12)
+        np.testing.assert_allclose(found.value, grazing, rtol=1e-12)
