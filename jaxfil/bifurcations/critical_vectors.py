@@ -32,7 +32,7 @@ class Slopes(NamedTuple):
     unit: Float[np.ndarray, " s"]
     """The scale of each."""
     still: Bool[np.ndarray, " n"]
-    """Components of the state that close for every value and keep that of the neighbour."""
+    """Components of the state that close for every value, and have the neighbour's."""
 
     @property
     def monodromy(self) -> np.ndarray:

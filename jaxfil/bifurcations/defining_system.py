@@ -105,7 +105,7 @@ class DefiningSystem(Equations):
     newton_steps: int | Array
     family: Int[Array, ""]
     still: Bool[Array, " n"] | None
-    """Components of the state that close for every value and keep that of the tangency."""
+    """Components of the state that close for every value, and have the value at the tangency."""
     free: tuple[str, ...] = eqx.field(static=True)
 
     def placed(self, system: System, z: Array) -> Placed:

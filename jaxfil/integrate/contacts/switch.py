@@ -110,7 +110,7 @@ def _with_rounding_of_forces(
     since = select(state.held, typical_step(problem, state), since)
     size = where(since > 0, since * stop_gradient(fields.sizes()), 0.0)
     if are_coupled(system):
-        # That of a force moves the position too, whose rate is zero but for this.
+        # The rounding of a force moves the position too, whose rate is zero but for this.
         given = stop_gradient((t, x, since, size, unilateral.sides_of(state.motion.mode)))
         size = system.where_any(since > 0, ft.partial(_passed_on, system), _as_it_is, *given)
     more = NOISE * problem.system.eps * (abs(stop_gradient(at.normals)) @ size)

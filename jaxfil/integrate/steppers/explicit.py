@@ -129,7 +129,7 @@ class Trial(eqx.Module):
 
 # The lowest order of a diffrax method whose error estimate is used in fixed steps. One of lower
 # order is as large as the change in a step from rest. Down to the second of these orders it is
-# kept, marked as crude, as that of `RK4` is: its limits are such that only unstable steps are
+# kept, marked as crude, as for `RK4`: its limits are such that only unstable steps are
 # halved. Below, steps from rest would be halved by these limits too.
 _TRUSTED, _CRUDE = 5, 3
 
