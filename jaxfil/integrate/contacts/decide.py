@@ -27,7 +27,7 @@ from jaxfil.integrate.surfaces import (
 )
 from jaxfil.integrate.surfaces.corners import Corners, are_coupled, steered
 from jaxfil.integrate.surfaces.question import Question
-from jaxfil.integrate.system.components import Components, any_of, first_set, maximum, where
+from jaxfil.integrate.system.components import Components, any_of, first_set, where
 from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.xla.select import select
 
@@ -182,9 +182,7 @@ def _known(
     after = where(settles, where(at.h > 0, one, -one), after)
     on = (hit & ~leaving) | is_close(problem, state, at.h)
     if at.unsettled is not None:
-        # The guard of a side has the rounding of the steps before.
-        before = where(abs(mode) == 1, state.motion.noise, 0.0)
-        here = at.unsettled & (abs(at.h) <= maximum(at.gathered, before))
+        here = at.unsettled & (abs(at.h) <= at.gathered)
         on = on | ((here | (after == 0)) & ~leaving)
     on = switching & on & ~at.off
     if later is not None:
