@@ -104,9 +104,8 @@ def _surfaces_at(
 def _with_rounding_of_forces(
     problem: Problem, state: LoopState, length: Length, at: Surfaces, fields: Corners, x: Components
 ) -> Surfaces:
-    """The surfaces with additional rounding for a state that is held on one, or has just left it.
-    The forces that hold it are rounded in proportion to their size, however small the state. A
-    surface that the state cannot leave because others hold it then causes no contact."""
+    """The surfaces with the rounding of forces that hold the state on one, or have just held it,
+    however small the state. One that it cannot leave, because others hold it, causes no contact."""
     system, t = problem.system, problem.grid.t0 + length.end
     since = select(any_of(~state.armed), abs(stop_gradient(length.h)), 0.0)
     # While a state is held, rounding accumulates over many steps.
@@ -121,12 +120,7 @@ def _with_rounding_of_forces(
 
 
 def _passed_on(
-    system: ComponentSystem,
-    t: Array,
-    x: Components,
-    h: Array,
-    size: Components,
-    sides: Components,
+    system: ComponentSystem, t: Array, x: Components, h: Array, size: Components, sides: Components
 ) -> Components:
     """Changes of the state in a step of length h, of these sizes, with what they change in turn."""
     _, push = jax.linearize(lambda t, x: system.field(t, x, sides), t, x)
