@@ -77,7 +77,7 @@ def _surfaces_at(
         and system.structure.members is None
     ):
         noise, gathered = with_rounding_of_held(system, state.motion.mode, normals, noise, gathered)
-    # The guard of a side has the rounding of the steps before, with that of forces that hold.
+    # The guard of a side has the rounding of the steps before, and of forces that hold.
     before = where(abs(state.motion.mode) == 1, state.motion.noise, 0.0)
     gathered = maximum(gathered, stop_gradient(before))
     same = problem.same_time(state.motion.tau)
