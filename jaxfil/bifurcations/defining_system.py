@@ -25,7 +25,7 @@ from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.parameter import replace_parameters
 from jaxfil.model.system import System
 from jaxfil.orbits.affine import Affine, affine
-from jaxfil.orbits.constant import unchanged
+from jaxfil.orbits.constant import rounding, unchanged
 from jaxfil.orbits.implicit import Equations, SystemOf
 from jaxfil.orbits.newton import Evaluation, Root, Stages, as_it_is, root_of
 from jaxfil.orbits.orbit import Orbit
@@ -33,7 +33,7 @@ from jaxfil.orbits.shooting import ShootingOptions
 from jaxfil.xla.kernel import kernel_if_it_fits, tree_in_kernel
 from jaxfil.xla.known import array_of, is_known
 from jaxfil.xla.select import select
-from jaxfil.xla.thresholds import CONVERGED, RESIDUAL, SAME_STATE
+from jaxfil.xla.thresholds import CONVERGED, RESIDUAL
 
 
 class Placed(eqx.Module):
@@ -90,7 +90,7 @@ def _lost_if_changed(closing: Closing, still: Bool[Array, " n"]) -> RESULTS:
     """The outcome of a closure; `orbit_lost` where a component that no event determines at the
     guess has changed by more than rounding."""
     gaps, size = closing.gap.reshape(-1, still.size), select(closing.size == 0, 1, closing.size)
-    far = abs(gaps) > SAME_STATE * float(jnp.finfo(size.dtype).eps) * size
+    far = abs(gaps) > rounding(size)
     lost = (closing.result == RESULTS.successful) & jnp.any(still & far)
     return RESULTS.where(lost, RESULTS.orbit_lost, closing.result)
 

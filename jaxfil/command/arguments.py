@@ -64,12 +64,7 @@ def _parser() -> _Parser:
 
 def _add_simulate(add: Add) -> None:
     _add_system(add)
-    add(
-        "--time",
-        metavar="T",
-        type=positive,
-        help="time span (default: 10 periods, or 10 if unforced)",
-    )
+    add("--time", metavar="T", type=positive, help=_SPAN)
     _add_steps(add)
     _add_picture(add)
 
@@ -77,26 +72,10 @@ def _add_simulate(add: Add) -> None:
 def _add_diagram(add: Add) -> None:
     _add_system(add)
     _add_swept(add)
-    add(
-        "--out",
-        metavar="FILE",
-        type=picture,
-        required=True,
-        help="the picture: FILE.png",
-    )
+    add("--out", metavar="FILE", type=picture, required=True, help="the picture: FILE.png")
     add("--follow", choices=("up", "down"), help="start each value where its neighbour ended")
-    add(
-        "--error",
-        action="store_true",
-        help="estimate errors; takes three times as long",
-    )
-    add(
-        "--component",
-        metavar="I",
-        type=whole(0),
-        default=0,
-        help=f"of the state {_DEFAULT}",
-    )
+    add("--error", action="store_true", help="estimate errors; takes three times as long")
+    _add_component(add)
     _add_samples(add, 200, 100)
     _add_section(add)
     _add_sweep(add)
@@ -114,13 +93,7 @@ def _add_basins(add: Add) -> None:
 def _add_map(add: Add, metavar: str, axes: str, transient: int) -> None:
     _add_system(add)
     add("--grid", metavar=metavar, type=axis, nargs=2, required=True, help=axes)
-    add(
-        "--out",
-        metavar="FILE",
-        type=picture,
-        required=True,
-        help="the picture: FILE.png",
-    )
+    add("--out", metavar="FILE", type=picture, required=True, help="the picture: FILE.png")
     _add_samples(add, transient, 32)
     _add_section(add)
     _add_sweep(add)
@@ -141,33 +114,15 @@ def _add_branch(add: Add) -> None:
     add("--to", dest="stop", metavar="B", type=number, required=True, help="its last value")
     _add_guess(add)
     _add_steps(add)
-    add(
-        "--component",
-        metavar="I",
-        type=whole(0),
-        default=0,
-        help=f"of the state {_DEFAULT}",
-    )
+    _add_component(add)
     _add_picture(add)
 
 
 def _add_spectrum(add: Add) -> None:
     _add_system(add)
     _add_swept(add, required=False)
-    add(
-        "--periods",
-        metavar="N",
-        type=whole(1),
-        default=1000,
-        help=f"averaged {_DEFAULT}",
-    )
-    add(
-        "--transient",
-        metavar="N",
-        type=whole(0),
-        default=200,
-        help=f"left out {_DEFAULT}",
-    )
+    add("--periods", metavar="N", type=whole(1), default=1000, help=f"averaged {_DEFAULT}")
+    add("--transient", metavar="N", type=whole(0), default=200, help=f"left out {_DEFAULT}")
     add("--interval", metavar="T", type=positive, help="time in place of a period, if unforced")
     _add_steps(add)
     _add_picture(add)
@@ -175,21 +130,10 @@ def _add_spectrum(add: Add) -> None:
 
 def _add_table(add: Add) -> None:
     _add_system(add)
-    add(
-        "--time",
-        metavar="T",
-        type=positive,
-        help="time span (default: 10 periods, or 10 if unforced)",
-    )
+    add("--time", metavar="T", type=positive, help=_SPAN)
     add("--steps", metavar="N", type=whole(1), help="a period (or unit of time)", **_SEVERAL)
     add("--steppers", metavar="S", choices=STEPPERS, help=", ".join(STEPPERS), **_SEVERAL)
-    add(
-        "--lanes",
-        metavar="N",
-        type=whole(1),
-        default=1,
-        help=f"timed at once {_DEFAULT}",
-    )
+    add("--lanes", metavar="N", type=whole(1), default=1, help=f"timed at once {_DEFAULT}")
     _add_picture(add)
 
 
@@ -206,6 +150,11 @@ def _add_system(add: Add) -> None:
     add("--x0", metavar="A,B", type=state, help="initial state (default: that of --list)")
 
 
+def _add_component(add: Add) -> None:
+    meaning = f"of the state {_DEFAULT}"
+    add("--component", metavar="I", type=whole(0), default=0, help=meaning)
+
+
 def _add_swept(add: Add, required: bool = True) -> None:
     add("--parameter", metavar="P", required=required, help="the parameter to sweep")
     add("--from", dest="start", metavar="A", type=number, required=required, help="first value")
@@ -214,20 +163,8 @@ def _add_swept(add: Add, required: bool = True) -> None:
 
 
 def _add_samples(add: Add, transient: int, samples: int) -> None:
-    add(
-        "--transient",
-        metavar="N",
-        type=whole(0),
-        default=transient,
-        help=f"left out {_DEFAULT}",
-    )
-    add(
-        "--samples",
-        metavar="N",
-        type=whole(1),
-        default=samples,
-        help=f"periods seen {_DEFAULT}",
-    )
+    add("--transient", metavar="N", type=whole(0), default=transient, help=f"left out {_DEFAULT}")
+    add("--samples", metavar="N", type=whole(1), default=samples, help=f"periods seen {_DEFAULT}")
 
 
 def _add_section(add: Add) -> None:
@@ -251,35 +188,18 @@ def _add_sweep(add: Add) -> None:
 
 
 def _add_guess(add: Add) -> None:
-    add(
-        "--periods",
-        metavar="N",
-        type=whole(1),
-        default=1,
-        help=f"of the force {_DEFAULT}",
-    )
+    add("--periods", metavar="N", type=whole(1), default=1, help=f"of the force {_DEFAULT}")
     add("--period", metavar="T", type=positive, help="a guess of the period, if unforced")
-    add(
-        "--transient",
-        metavar="N",
-        type=whole(0),
-        default=0,
-        help=f"run first {_DEFAULT}",
-    )
+    add("--transient", metavar="N", type=whole(0), default=0, help=f"run first {_DEFAULT}")
 
 
 def _add_picture(add: Add) -> None:
-    add(
-        "--out",
-        metavar="FILE",
-        type=picture,
-        help="a picture: FILE.png (default: none)",
-    )
+    add("--out", metavar="FILE", type=picture, help="a picture: FILE.png (default: none)")
     _add_style(add)
 
 
 def _add_style(add: Add) -> None:
-    add("--title", metavar="TEXT", help="over the picture (default: the command)")
+    add("--title", metavar="TEXT", help="over the picture (default: the conditions)")
     add("--dpi", metavar="N", type=whole(1), help="dots per inch of the picture (default: 200)")
     add("--no-cache", action="store_true", help="compile anew, and keep nothing compiled on disk")
 

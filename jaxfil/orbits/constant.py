@@ -51,13 +51,14 @@ def unchanged(
     at its start, whatever this is."""
     unit = jnp.eye(monodromy.shape[-1], dtype=monodromy.dtype)
     largest = jnp.max(abs(monodromy), axis=(-2, -1))
-    return constant & (jnp.max(abs(monodromy - unit), axis=-1) <= _rounding(largest)[..., None])
+    return constant & (jnp.max(abs(monodromy - unit), axis=-1) <= rounding(largest)[..., None])
 
 
 def _is_rounding(v: Array, scale: Array | float) -> Bool[Array, ""]:
     """Whether all numbers are rounding errors of numbers of a scale."""
-    return jnp.all(abs(v) <= _rounding(jnp.asarray(scale, v.dtype)))
+    return jnp.all(abs(v) <= rounding(jnp.asarray(scale, v.dtype)))
 
 
-def _rounding(scale: Array) -> Array:
+def rounding(scale: Array) -> Array:
+    """The rounding error of numbers of a scale after a period."""
     return SAME_STATE * float(jnp.finfo(scale.dtype).eps) * scale

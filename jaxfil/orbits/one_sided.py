@@ -27,17 +27,17 @@ def is_behind(
     if not problem.system.resets:
         return jnp.zeros((), bool)
     thrown = thrown_at(problem, problem.system.unpack(x))
-    gains = pack(thrown.constraints.impulse.gains.diagonal(), x.dtype)
-    behind = (mode < 0) & pack(thrown.back, bool) & _leaves_slowly(problem, x, gains)
+    slowly = _leaves_slowly(problem, x, thrown.constraints)
+    behind = (mode < 0) & pack(thrown.back, bool) & slowly
     if events is not None:
         behind = behind & ~jnp.any(events.modes > 0, axis=0)
     return jnp.any(behind)
 
 
 def _leaves_slowly(
-    problem: Problem, x: Float[Array, " n"], gains: Float[Array, " m"]
+    problem: Problem, x: Float[Array, " n"], c: unilateral.Constraints
 ) -> Bool[Array, " m"]:
-    """Whether a motion that comes slowly to a surface leaves it slowly too, given 1 + e of each.
+    """Whether a motion that comes slowly to a surface leaves it slowly too.
 
     A switch that stops one of several flows has the derivative of a wall with e = 0, but leaves the
     rate of the other flows. Far from its surface `thrown_at` does not tell them apart.
@@ -58,5 +58,8 @@ def _leaves_slowly(
         noise = eps**0.5 * (abs(slope) @ (abs(slow) + abs(after)))
         return abs(went) <= 2 * gain * abs(came) + noise
 
-    numbers = jnp.arange(gains.shape[0], dtype=jnp.int32)
-    return jax.vmap(of)(numbers, psi(x), jax.jacfwd(psi)(x), gains)
+    rates, gains = pack(c.rate, x.dtype), pack(c.impulse.gains.diagonal(), x.dtype)
+    rows = c.gradients.rows  # those of an array are one array
+    slopes = jnp.stack([pack(v, x.dtype) for v in rows]).reshape(system.m, -1)
+    numbers = jnp.arange(system.m, dtype=jnp.int32)
+    return jax.vmap(of)(numbers, rates, slopes, gains)

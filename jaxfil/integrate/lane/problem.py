@@ -103,7 +103,7 @@ def budget_with_ticks(grid: TimeGrid, clocks: Sequence[tuple[Array, Array]]) -> 
     # A span or a period that is no number ends the run at once.
     ticks = stop_gradient(jnp.nan_to_num(jnp.minimum(ticks, 2.0**25))).astype(jnp.int32)
     given, most = grid.max_iterations, 2**31 - 1
-    # None at all stay none, for a run that is to end at once.
+    # A budget of zero stays zero, for a run that is to end at once.
     return select(given == 0, 0, given + jnp.minimum(32 * ticks, most - given))
 
 
