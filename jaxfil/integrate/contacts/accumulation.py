@@ -54,8 +54,9 @@ from jaxfil.xla.select import select, select_all
 _LONGEST = 16
 # Tolerance for equal predictions, in multiples of the rounding of their terms.
 _AGREE = 4
-# The largest such rounding, as a part of the length of a turn.
-_TOLD = 1 / 16
+# The largest such rounding, as a part of the length of a turn. With shorter turns it grows while
+# predictions still approach each other: as 2.6 and 1/5 in each turn of a wall and a friction.
+_TOLD = 1 / 8
 # The size of the copy of a turn, as this power of eps. It is large compared with the rounding of
 # the turn, so that a reset can tell the directions in it.
 _COPY = 2 / 3

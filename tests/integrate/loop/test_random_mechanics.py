@@ -57,6 +57,8 @@ def test_all_problems_are_answered():
     [
         # Turns that end with an impact that starts a slip; a friction that relieves a wall.
         ((2, 1, 1), (47, 96)),
+        # Turns of which only one is resolved when predictions agree.
+        ((3, 1, 1), (110,)),
         # What rests on a wall does not rub on the ground, though it would on its neighbour. Walls
         # that take over where frictions end.
         pytest.param(*((2, 2, 1), (533, 97, 148)), marks=pytest.mark.release),
