@@ -16,13 +16,29 @@ from jaxfil.model.outcomes import outcome_names
 from tests.oracles import avalanches, clocked_mechanics, mechanics
 from tests.oracles.clocked_problems import KINDS, Neurons, random_clocked, random_network
 from tests.oracles.linear_flow import Uncertain
-from tests.oracles.mechanical_problems import T1, numbers_of, random_machine, system_of
+from tests.oracles.mechanical_problems import (
+    T1,
+    numbers_of,
+    random_machine,
+    random_stopped,
+    system_of,
+)
 
 DT, ROOM, ALLOWED = 0.02, 2000, 1e-7
 # (masses, frictions, walls) and their part of all systems.
-SHAPES = {(1, 1, 1): 0.16, (2, 1, 1): 0.12, (2, 2, 1): 0.06, (2, 2, 2): 0.08, (3, 2, 2): 0.08}
+SHAPES = {
+    (1, 1, 1): 0.16,
+    (2, 1, 1): 0.12,
+    (2, 2, 1): 0.06,
+    (2, 2, 2): 0.08,
+    (3, 1, 1): 0.04,
+    (3, 2, 2): 0.08,
+}
+PLAIN = {"plain": random_machine, "stopped": random_stopped}
 # (kind, sizes); the sizes of neurons are their number.
-CLOCKED = {
+OTHERS = {
+    ("stopped", (1, 1, 1)): 0.04,
+    ("stopped", (2, 1, 1)): 0.03,
     ("switched", (1, 1, 1)): 0.04,
     ("kicked", (1, 1, 1)): 0.04,
     ("held", (2, 1, 1)): 0.03,
@@ -37,8 +53,8 @@ def problem(kind, sizes, seed):
     if kind == "neurons":
         network, x0 = random_network(seed, *sizes)
         return (tuple(network), x0), lambda x: (avalanches.propagate(network, x, T1)[0], 1.0)
-    if kind == "plain":
-        machine, x0 = random_machine(seed, *sizes)
+    if kind in PLAIN:
+        machine, x0 = PLAIN[kind](seed, *sizes)
         return (numbers_of(machine), x0), lambda x: _end(mechanics.propagate(machine, x, T1))
     machine, jumps, numbers, x0 = random_clocked(seed, kind, *sizes)
     exact = clocked_mechanics.propagate
@@ -80,7 +96,8 @@ def _is_chaotic(exact, x0, x, size):
 def group(kind, sizes, count, seed):
     """The verdicts on `count` systems."""
     made = [problem(kind, sizes, [seed, *sizes, i]) for i in range(count)]
-    make = {"plain": system_of, "neurons": lambda numbers: Neurons(*numbers)}.get(
+    plain = dict.fromkeys(PLAIN, system_of)
+    make = {**plain, "neurons": lambda numbers: Neurons(*numbers)}.get(
         kind, lambda numbers: KINDS[kind](*numbers)
     )
 
@@ -101,5 +118,5 @@ def groups(systems, seed):
     """All shapes."""
     for sizes, count in counts(SHAPES, systems).items():
         yield group("plain", sizes, count, seed)
-    for (kind, sizes), count in counts(CLOCKED, systems).items():
+    for (kind, sizes), count in counts(OTHERS, systems).items():
         yield group(kind, sizes, count, seed)

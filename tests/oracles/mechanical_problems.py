@@ -98,6 +98,16 @@ def random_machine(seed, masses, rubs, walls):
     return machine, _start(rng, machine)
 
 
+def random_stopped(seed, masses, rubs, walls):
+    """The same, with dead stops at zero, of which the first is beside a friction on its mass. There
+    rounding in proportion to the position vanishes."""
+    machine, _ = random_machine(seed, masses, rubs, walls)
+    rubs = np.concatenate([machine.walls[:1], machine.rubs[1:]])
+    nothing = np.zeros(walls)
+    machine = machine._replace(rubs=rubs, places=nothing, restitutions=nothing)
+    return machine, _start(np.random.default_rng(seed), machine)
+
+
 def _directions(rng, masses, count):
     """Rows of one mass against the ground, or of two neighbours against each other, that are
     independent."""
