@@ -148,6 +148,11 @@ class BalanceCurve(Curve[EquilibriumPoint]):
         """The mode, (m,)."""
         return np.asarray(self.varied.balance.mode)
 
+    @property
+    def multipliers(self) -> slice:
+        """The place of the weights and reactions among the unknowns."""
+        return slice(-1 - self.mode.size, -1)
+
     def solve(self, guess: np.ndarray, constraint: ArclengthConstraint) -> Root:
         """Solve the equations of the mode."""
         return _solve(self.varied, array_of(guess), constraint, array_of(_NEWTON_STEPS, jnp.int32))
@@ -166,8 +171,8 @@ class BalanceCurve(Curve[EquilibriumPoint]):
     def metric(self, point: EquilibriumPoint) -> np.ndarray:
         """Scales: sizes of components and of the parameter; at least one for weights and
         reactions."""
-        size, m = abs(point.u), self.mode.size
-        size[size.size - 1 - m : -1] = np.maximum(size[size.size - 1 - m : -1], 1.0)
+        size = abs(point.u)
+        size[self.multipliers] = np.maximum(size[self.multipliers], 1.0)
         return np.maximum(size, self.least)
 
     def special_points(
@@ -236,9 +241,8 @@ class BalanceCurve(Curve[EquilibriumPoint]):
         """The curve of the mode on the other side of the boundary at surface j, and a boundary
         equilibrium in its unknowns."""
         balance, side, u = self.varied.balance, self.mode[j], last.u
-        place = u.size - 1 - self.mode.size + j
         if side == 0:
-            return self._in(np.sign(u[place]), last, j)[:2]
+            return self._in(np.sign(u[self.multipliers][j]), last, j)[:2]
         if abs(side) == 2:
             return self._in(np.sign(side), last, j)[:2]
         if balance.system.resets and bool(_walls(self.varied, array_of(u))[j]):

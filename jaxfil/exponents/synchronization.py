@@ -115,10 +115,10 @@ def synchronization_exponent(
     # The first that synchronises is the result.
     if values is not None and not np.all(np.diff(values) > 0):
         raise ValueError(f"`couplings` must be ascending, got {values}.")
-    between = interval_of(system, interval, x.dtype)
+    period = interval_of(system, interval, x.dtype)
     tolerance = _TOLERANCES[x.dtype.name] if tolerance is None else tolerance
-    within = check.scalar("tolerance", tolerance, x.dtype, positive=True)
-    known = check.concrete(within)
+    limit = check.scalar("tolerance", tolerance, x.dtype, positive=True)
+    known = check.concrete(limit)
     if known is not None and known >= _START:
         raise ValueError(
             f"`tolerance` must be below {_START}, the distance at which the response starts, got "
@@ -134,7 +134,7 @@ def synchronization_exponent(
         stepper=stepper,
         compact=compact,
     )
-    return _threshold(system, x, grid, within, between, pace)
+    return _threshold(system, x, grid, limit, period, pace)
 
 
 def _settle(
@@ -144,8 +144,8 @@ def _settle(
     outcome."""
 
     def run(x0: Array) -> tuple[Interval, Array, Array, RESULTS]:
-        between = interval.of(system, x0, pace)
-        grid = between.grid(jnp.maximum(transient, 1), pace.steps)
+        period = interval.of(system, x0, pace)
+        grid = period.grid(jnp.maximum(transient, 1), pace.steps)
         field = build(system, x0, compact=pace.compact)
         problem = problem_of(field, tableau_of(pace.stepper), grid)
         state = integrate(problem, problem.system.unpack(x0))
@@ -156,7 +156,7 @@ def _settle(
         recent = size_of(pack(state.motion.scale, x0.dtype))
         recent = select(state.result == RESULTS.successful, recent, 0.0)
         size = or_one(jnp.maximum(recent, size_of(x)))
-        return between, x, size, RESULTS.where(moved, state.result, RESULTS.successful)
+        return period, x, size, RESULTS.where(moved, state.result, RESULTS.successful)
 
     return kernel_if_it_fits(run, pace.compact)(x0)
 
@@ -200,7 +200,7 @@ def _threshold(
         result = period_outcome(interval.length, result)
         return select(result == RESULTS.successful, nearest, jnp.nan), result
 
-    def told(nearest: Array, results: RESULTS) -> Synchronization:
+    def threshold(nearest: Array, results: RESULTS) -> Synchronization:
         met = nearest <= tolerance
         time = periods.astype(x0.dtype) * interval.length
         first = jnp.argmax(met)  # also 0 without a synchronised one
@@ -220,7 +220,7 @@ def _threshold(
             compact=pace.compact,
         )
 
-    return kernel_if_it_fits(told)(*jax.vmap(kernel_if_it_fits(lane, pace.compact))(couplings))
+    return kernel_if_it_fits(threshold)(*jax.vmap(kernel_if_it_fits(lane, pace.compact))(couplings))
 
 
 def transverse_exponent(
@@ -280,7 +280,7 @@ def transverse_exponent(
     check.system("system", system)
     system = cast(system, x.dtype)
     strength = check.scalar("coupling", coupling, x.dtype)
-    between = interval_of(system, interval, x.dtype)
+    period = interval_of(system, interval, x.dtype)
     pace = pace_of(
         drive_response(system, strength),
         jnp.concatenate([x, x]),
@@ -291,7 +291,7 @@ def transverse_exponent(
         stepper=stepper,
         compact=compact,
     )
-    return _transverse(system, x, strength, between, pace, min(BATCHES, int(periods)))
+    return _transverse(system, x, strength, period, pace, min(BATCHES, int(periods)))
 
 
 @eqx.filter_jit

@@ -63,9 +63,24 @@ def by_pivoting(question: Question) -> tuple[Components, Array]:
     solutions: 0, 1, or 2 for several."""
     posed = _inequality(question)
     z, found = _solution(question, posed)
+    mode, held = _mode_of(question, posed, z)
+    # Backward in time a repelling slide may have started at any earlier time. A slide that goes on
+    # forward has been decided before, and its matrix is not examined in each step.
+    on = pack(question.on, bool)
+    back = (question.direction < 0) & jnp.any(on & (mode == 0))
+    examined = found & (back | question.leaves)
+    monotone = jax.lax.cond(
+        examined, lambda: is_monotone(posed.matrix, on), lambda: jnp.ones((), bool)
+    )
+    several = ~monotone & (back | _has_another(question, posed, z, examined & ~monotone & ~back))
+    count = select(found, select(several, 2, select(held, 1, 0)), 0).astype(jnp.int32)
+    return _like(question.mode, mode), count
+
+
+def _mode_of(question: Question, posed: _Inequality, z: Array) -> tuple[Array, Array]:
+    """The mode, m numbers, of a solution, which only says which surfaces slide or rest: weights and
+    reactions are computed from the mode. Also whether what dψ/dt decides is held in that mode."""
     on, mode = pack(question.on, bool), pack(question.mode, posed.q.dtype)
-    # The solution only says which surfaces slide or rest. The weights and reactions themselves are
-    # computed from the mode.
     weight = select(abs(z) >= 1, jnp.sign(z), 0.0)
     # Where dψ/dt vanishes in place of ψ, the slide of another surface holds both.
     balanced = abs(posed.value(z)) <= posed.noise(z)
@@ -85,17 +100,8 @@ def by_pivoting(question: Question) -> tuple[Components, Array]:
         edge = edge & ~_pulls(posed, z)
         rests = rests | _takes_over(question, posed, z, balanced)
     weight = select(both | holding | edge, 0.0, weight)
-    chosen = select(on, select(posed.slid, weight, select(rests, 2 * mode, mode)), mode)
-    # Backward in time a repelling slide may have started at any earlier time. A slide that goes on
-    # forward has been decided before, and its matrix is not examined in each step.
-    back = (question.direction < 0) & jnp.any(on & (chosen == 0))
-    examined = found & (back | question.leaves)
-    monotone = jax.lax.cond(
-        examined, lambda: is_monotone(posed.matrix, on), lambda: jnp.ones((), bool)
-    )
-    several = ~monotone & (back | _has_another(question, posed, z, examined & ~monotone & ~back))
-    count = select(found, select(several, 2, select(held, 1, 0)), 0).astype(jnp.int32)
-    return _like(question.mode, chosen), count
+    chosen = select(posed.slid, weight, select(rests, 2 * mode, mode))
+    return select(on, chosen, mode), held
 
 
 def _stays_on_side(question: Question, posed: _Inequality, z: Array) -> Array:
