@@ -17,6 +17,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array
 
 from jaxfil.xla.select import select
 
@@ -53,3 +54,19 @@ def _call_jvp(primals: tuple, tangents: tuple, *, function: Callable) -> tuple[t
     out, push = jax.linearize(lambda moving: function(*eqx.combine(moving, still)), moving)
     rates = push(jax.tree.map(lambda v: select(out[0], v, jnp.zeros_like(v)), moves))
     return out, jax.tree.map(lambda v: None if v.dtype == jax.dtypes.float0 else v, rates)
+
+
+@jax.custom_jvp
+def undefined_where(flag: Array, x: Array) -> Array:
+    """The number x, whose derivative is NaN where the flag is set and it is not defined.
+
+    >>> jax.grad(lambda x: undefined_where(x > 1, x * x))(jnp.float32(2.0))
+    Array(nan, dtype=float32)
+    """
+    return x
+
+
+@undefined_where.defjvp
+def _undefined_where_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+    (flag, x), (_, rate) = primals, tangents
+    return undefined_where(flag, x), rate * select(flag, jnp.nan, 1.0)

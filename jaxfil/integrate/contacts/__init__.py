@@ -11,6 +11,8 @@
 - decision: the mode that continues, for all surfaces that the state is on together (`decide`).
 - reset: the map of a surface at a contact, and the motion after it: thrown back, let through, at
   rest, or in complete chattering, infinitely many impacts in a finite time (`resets`).
+- holding: the rounding of H by the forces that hold a state on surfaces.
 - beginning: the start of a run on surfaces with resets, and whether a reset is due there.
-- accumulation: contacts that recur at geometrically shrinking intervals, completed by their limit.
+- turn: the contacts from one to the next of its kind; of an `accumulation`, in which they recur at
+  geometrically shrinking intervals, it tells the limit.
 """

@@ -27,14 +27,14 @@ its copy must give L + ε (R(p) − L) again, whatever the others have written t
 import dataclasses
 import functools as ft
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.integrate.contacts.guards import stays_on
-from jaxfil.integrate.contacts.resets import Reset
+from jaxfil.integrate.contacts.resets import Impact, Reset
+from jaxfil.integrate.contacts.turn import LONGEST, Turn
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState, StepEnd
 from jaxfil.integrate.lane.step_length import Length, typical_step
@@ -47,11 +47,9 @@ from jaxfil.integrate.system.components import (
     total,
     where,
 )
-from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.xla.select import select, select_all
+from jaxfil.xla.valid_derivative import undefined_where
 
-# A contact that is not repeated within this many others does not belong to a turn.
-_LONGEST = 16
 # Tolerance for equal predictions, in multiples of the rounding of their terms.
 _AGREE = 4
 # The largest such rounding, as a part of the length of a turn. With shorter turns it grows while
@@ -62,70 +60,13 @@ _TOLD = 1 / 8
 _COPY = 2 / 3
 
 
-class Turn(eqx.Module):
-    """A turn through the sides of coupled surfaces, from one contact to the next of its kind."""
-
-    kind: Array
-    """The kind of the contact at which the turn started; −1 before the first contact."""
-    tau: Array
-    """Elapsed time of that contact."""
-    tau_low: Array
-    """Low-order part of this time."""
-    x: Components
-    """State at that contact, n components."""
-    length: Array
-    """Length in time of the turn before; 0 without one."""
-    move: Components
-    """Displacement of the state in the turn before, n components."""
-    left: Array
-    """Time from that contact to the limit of turns, as predicted by the turn before; inf without a
-    prediction."""
-    limit: Components
-    """State at this limit, n components."""
-    met: Components
-    """The surfaces reached since that contact, m components."""
-    late: Array
-    """Uncertainty of the times of these contacts."""
-    contacts: Array
-    """Number of contacts since."""
-    completed: Array
-    """Whether the next switch is the one at the limit."""
-    copy: Components | None
-    """The state of the small copy of this turn, less ε times the state itself, n components; None
-    without resets."""
-
-
-def has_turns(system: ComponentSystem) -> bool:
-    """Whether contacts may accumulate by turns, through the sides of coupled surfaces or from one
-    wall to another."""
-    return system.m > 1 and (system.resets or (system.slides and not system.structure.separate))
-
-
-def no_turn(system: ComponentSystem, x: Components) -> Turn | None:
-    """The turn at t0, before any contact."""
-    if not has_turns(system):
-        return None
-    zero, false = jnp.zeros((), system.dtype), jnp.zeros((), bool)
-    return Turn(
-        kind=zero - 1,
-        tau=zero,
-        tau_low=zero,
-        x=x,
-        length=zero,
-        move=x.like(zero),
-        left=zero + jnp.inf,
-        limit=x,
-        met=system.for_each_surface(false),
-        late=zero,
-        # As after too many contacts, so that the first one starts a turn.
-        contacts=jnp.full((), _LONGEST, jnp.int32),
-        completed=false,
-        copy=x if system.resets else None,
-    )
-
-
 def follow_turns(
-    problem: Problem, state: LoopState, length: Length, end: StepEnd, reset: Reset | None
+    problem: Problem,
+    state: LoopState,
+    length: Length,
+    end: StepEnd,
+    reset: Reset | None,
+    led: Impact | None,
 ) -> StepEnd:
     """The end of a step with the turn that its switch, with this reset, belongs to. If that turn
     completes the accumulation, the step jumps to the limit of all later turns."""
@@ -134,7 +75,7 @@ def follow_turns(
         return end
     follows = _counts(state) if reset is None else _counts(state) | any_of(reset.heard)
     turn, jump, x = problem.system.where_any(
-        follows, _turned, _as_before, problem, state, length, end, reset
+        follows, _turned, _as_before, problem, state, length, end, reset, led
     )
     done = turn.completed
     upcoming = done & turn.met
@@ -164,13 +105,23 @@ def _counts(state: LoopState) -> Array:
 
 
 def _as_before(
-    problem: Problem, state: LoopState, length: Length, end: StepEnd, reset: Reset | None
+    problem: Problem,
+    state: LoopState,
+    length: Length,
+    end: StepEnd,
+    reset: Reset | None,
+    led: Impact | None,
 ) -> tuple[Turn | None, Array, Components]:
     return state.turn, jnp.zeros_like(end.motion.tau), end.motion.x
 
 
 def _turned(
-    problem: Problem, state: LoopState, length: Length, end: StepEnd, reset: Reset | None
+    problem: Problem,
+    state: LoopState,
+    length: Length,
+    end: StepEnd,
+    reset: Reset | None,
+    led: Impact | None,
 ) -> tuple[Turn, Array, Components]:
     """The turn after a switch, and the time and the state of the limit of turns."""
     turn, same = state.turn, problem.same_time(end.motion.tau)
@@ -223,7 +174,9 @@ def _turned(
         # For a single wall, `resets` has a better prediction, by the reset itself.
         together = total((turn.met | state.pending.surfaces).astype(jnp.int32)) > 1
         completed = completed & (together | soon)
-    starts = switches & (again | (turn.contacts >= _LONGEST))
+    if led is not None:
+        completed = completed & ~_has_own_impacts(led, turn.met | state.pending.surfaces)
+    starts = switches & (again | (turn.contacts >= LONGEST))
     # The switch at the limit needs the surfaces of the completed turn. Any other start clears them.
     met = switches & (turn.met | state.pending.surfaces)
     now = Turn(
@@ -242,6 +195,10 @@ def _turned(
         copy=copy and where(starts, (1 - _scale(problem)) * stop_gradient(limit), copy),
     )
     jump = select(completed, left - late, 0)
+    if not problem.system.resets:
+        # Those of independent surfaces that end at one time end at two for other parameters.
+        both = _are_of_several_groups(problem, turn.met | state.pending.surfaces)
+        jump = undefined_where(stop_gradient(completed & both), jump)
     other = dataclasses.replace(turn, copy=copy)
     return select_all(counts, now, other), jump, ahead(jump)
 
@@ -310,6 +267,24 @@ def _surfaces_there(
     passes = (start >= 0) & (stop >= 0) & (motion.mode * h >= 0)
     others = ~(met | stays_on(problem.system, motion.mode))
     return ~any_of(met & ~close), ~any_of(others & ~passes)
+
+
+def _are_of_several_groups(problem: Problem, met: Components) -> Array:
+    """Whether some of these surfaces do not switch the rates of the others (`Structure.groups`)."""
+    groups = np.asarray(problem.system.structure.groups)
+    own = [problem.system.of_surfaces(jnp.asarray(groups == k)) for k in sorted(set(groups))]
+    return total(Components(any_of(met & v).astype(jnp.int32) for v in own)) > 1
+
+
+def _has_own_impacts(led: Impact, met: Components) -> Array:
+    """Whether one of several surfaces throws back without an effect on the rates of others, nor
+    theirs on its own. Its impacts end at a time of their own, with its own derivative, even if
+    others end at the same time, and `resets` completes them."""
+    assert led.constraints is not None
+    gains, flags = abs(led.constraints.impulse.gains), where(met, 1.0, 0.0)
+    own = gains.diagonal() * flags
+    others = (gains @ flags - own) + (gains.added(0 * own, flags) - own)
+    return (total(flags) > 1) & any_of(met & led.walls & (others <= 0))
 
 
 def _kind(hit: Components, mode: Components) -> Array:

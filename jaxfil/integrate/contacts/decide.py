@@ -182,7 +182,7 @@ def _known(
     after = where(settles, where(at.h > 0, one, -one), after)
     on = (hit & ~leaving) | is_close(problem, state, at.h)
     if at.unsettled is not None:
-        here = at.unsettled & (abs(at.h) <= at.gathered)
+        here = at.unsettled & (abs(at.h) <= at.reached)
         on = on | ((here | (after == 0)) & ~leaving)
     on = switching & on & ~at.off
     if later is not None:

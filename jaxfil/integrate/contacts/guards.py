@@ -56,6 +56,9 @@ class Surfaces(eqx.Module):
     gathered: Components
     """Bound of the rounding of H since t0, from the largest recent state, which decides whether a
     graze is more than rounding."""
+    reached: Components
+    """That of the guards of sides too, within which a surface is decided with others, m
+    components."""
     off: Components
     """Surfaces that the state has been moved off, by a jump of H or by a map."""
     unsettled: Array | None

@@ -82,8 +82,10 @@ class Impact(eqx.Module):
     consistent: Array
     """Whether these reactions are consistent (see `unilateral.pressed`); for several surfaces,
     whether they hold the state at the limit of turns."""
+    ends: Array
+    """Whether a chattering ends here."""
     jump: Array
-    """The duration of a chattering that ends here; 0 without one."""
+    """The time for which the motion is moved to its end; 0 without one."""
     kick: Components
     """The displacement of the state in that time beyond the field's, n components."""
     constraints: Constraints | None
@@ -236,7 +238,7 @@ def _follow(
     # A surface just hit counts as reached even if |H| exceeds its rounding, since the rounding of
     # the contact's time is larger.
     here = reset.heard | (state.settled & state.pending.surfaces)
-    there = ((abs(stop_gradient(at.h)) <= at.gathered) | here) & ~at.off
+    there = ((abs(stop_gradient(at.h)) <= at.reached) | here) & ~at.off
     on = switching & reverses & there
     leaves = state.pending.surfaces & resting & ~reset.moved & ~limit
     still = on & ((abs(rate) <= noise) | limit) & ~leaves
@@ -271,10 +273,10 @@ def _follow(
     slow = state.pending.surfaces & there & (abs(rate) <= noise)
     consistent = consistent & ~any_of(slow & ~c.known & ~stays_on(system, state.motion.mode))
     more = any_of(owed)
-    jump, kick = _chattering(problem, state, length, reset, seen, at, rests, more)
+    ends, jump, kick = _chattering(problem, state, length, reset, seen, at, rests, more)
     # A surface that the motion leaves has no impact: a reset would throw it back through it.
     others = more & state.pending.surfaces & ~reset.heard & ~spared & ~(parts & ~limit)
-    upcoming = where(jump > 0, reset.acted, owed | others)
+    upcoming = where(ends, reset.acted, owed | others)
     return Impact(
         next=upcoming,
         walls=walls,
@@ -282,6 +284,7 @@ def _follow(
         rests=rests,
         pushed=away,
         consistent=consistent | ~switching,
+        ends=ends,
         jump=jump,
         kick=kick,
         constraints=c if system.m > 1 else None,
@@ -298,10 +301,10 @@ def _chattering(
     at: Surfaces,
     rests: Components,
     more: Array,
-) -> tuple[Array, Components]:
-    """The time in which impacts on the surface just reset die out, if it is so short that the field
-    is constant, or their height is within the rounding of H; and the displacement of the state in
-    that time beyond the field's."""
+) -> tuple[Array, Array, Components]:
+    """Whether impacts on the surface just reset die out in a time so short that the field is
+    constant, or with a height within the rounding of H; the time for which the motion is moved to
+    their end; and the displacement of the state in that time beyond the field's."""
     system, grid, c = problem.system, problem.grid, seen.constraints
     sides = unilateral.sides_of(state.motion.mode)
     same = problem.same_time(state.motion.tau)
@@ -324,20 +327,24 @@ def _chattering(
     time = total(where(ends, minimum(times, _LEAP * longest), 0.0))
     slid = state.motion.mode == 0
 
-    def is_clear(time: Array) -> Array:
+    def is_clear(time: Array, others: Components) -> Array:
         ahead = sides * (at.h + time * (c.rate + 0.5 * time * held))
         # A slide stays on its surface, unless the reset has moved the state off it, to either side.
         left = where(abs(at.h) > at.gathered, abs(at.h) - time * abs(c.rate), 0.0)
         ahead = where(slid, left, ahead)
-        return ~any_of(~((ahead >= -at.gathered) | rests | ends))
+        return ~any_of(others & ~((ahead >= -at.gathered) | rests | ends))
 
     # The chattering is not completed if another surface would be reached in that time, as by a
     # friction that sticks again in each flight. Where H cannot resolve the flights, the impulse of
     # all impacts is applied at once, which leaves the same velocities once the other is reached.
     once = total(where(ends & low, minimum(times, same), 0.0))
-    clear = is_clear(time)
-    time = select(clear, time, once)
-    found = any_of(ends) & (clear | ((once > 0) & is_clear(once)))
+    apart = _apart_from(c, ends) & seen.effect.throws_back
+    clear, alone = is_clear(time, ~ends), is_clear(time, ~apart)
+    # Another wall, on which these impacts have no effect, has impacts of its own in that time. The
+    # motion is not moved in time then, but put where the one at rest leads to the same state.
+    still = any_of(ends) & alone & ~clear
+    time = select(clear | alone, time, once)
+    found = any_of(ends) & (clear | alone | ((once > 0) & is_clear(once, ~ends)))
     # The limit may be past a grid point by its rounding, which must not become a step back from
     # the wall in the motion after it.
     total_time = select(found, time - length.beyond(time), 0.0)
@@ -350,7 +357,14 @@ def _chattering(
     if system.m > 1:
         # The field of the motion has the reactions of its mode alone, not yet those of surfaces
         # that have just come to rest.
-        resting = unilateral.rests_of(state.motion.mode)
+        resting = unilateral.rests_of(state.motion.mode) | (still & (rests | ends))
         known = unilateral.multipliers(c.reaction.gains, seen.a, resting)
         kick = c.reaction.directions.added(kick, total_time * (forces - known))
-    return total_time, c.impulse.directions.added(kick, impulses)
+    moved = select(still, 0.0, total_time)
+    return found & (total_time > 0), moved, c.impulse.directions.added(kick, impulses)
+
+
+def _apart_from(c: Constraints, one: Components) -> Components:
+    """The surfaces whose rates an impulse at one of them does not change, nor theirs its rate."""
+    gains, flags = abs(c.impulse.gains), where(one, 1.0, 0.0)
+    return ~one & (gains @ flags <= 0) & (gains.added(0 * flags, flags) <= 0)

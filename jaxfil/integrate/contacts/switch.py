@@ -8,10 +8,8 @@ fourth digit. Each of several causes at one time has a switch of its own.
 """
 
 import dataclasses
-import functools as ft
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
@@ -19,7 +17,6 @@ from jaxtyping import Array
 from jaxfil.integrate.contacts import accumulation, resets
 from jaxfil.integrate.contacts.decide import Decision, decided, later_contacts
 from jaxfil.integrate.contacts.guards import (
-    NOISE,
     Surfaces,
     guards,
     is_close,
@@ -29,13 +26,13 @@ from jaxfil.integrate.contacts.guards import (
     unguarded,
     with_rounding_of_held,
 )
+from jaxfil.integrate.contacts.holding import with_rounding_of_forces
 from jaxfil.integrate.contacts.in_turn import as_planned, in_turn
 from jaxfil.integrate.contacts.maps import Maps, mapped, ticked
 from jaxfil.integrate.contacts.resets import Impact
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import FreeStep, LoopState, Motion, StepEnd
-from jaxfil.integrate.lane.step_length import Length, typical_step
-from jaxfil.integrate.steppers.error_estimate import terms_in_step
+from jaxfil.integrate.lane.step_length import Length
 from jaxfil.integrate.surfaces import filippov, unilateral, weights as sliding_weights
 from jaxfil.integrate.surfaces.corners import Corners, are_coupled
 from jaxfil.integrate.surfaces.entering import fields_from_here, held_from_here
@@ -77,9 +74,6 @@ def _surfaces_at(
         and system.structure.members is None
     ):
         noise, gathered = with_rounding_of_held(system, state.motion.mode, normals, noise, gathered)
-    # The guard of a side has the rounding of the steps before, and of forces that hold.
-    before = where(abs(state.motion.mode) == 1, state.motion.noise, 0.0)
-    gathered = maximum(gathered, stop_gradient(before))
     same = problem.same_time(state.motion.tau)
     # H has jumped by more than the rounding of times explains. The guard of a slide or a rest is
     # not H, and its rate may be anything where the state has been moved off the surface.
@@ -98,38 +92,10 @@ def _surfaces_at(
         something = something | (pending.waits & ~pending.grazes)
     if system.m > 1 or system.clocks or system.resets:
         unsettled = something
-    return Surfaces(h, h_t, normals, scale, noise, gathered, off, unsettled)
-
-
-def _with_rounding_of_forces(
-    problem: Problem, state: LoopState, length: Length, at: Surfaces, fields: Corners, x: Components
-) -> Surfaces:
-    """The surfaces with the rounding of forces that hold the state on one, or have just held it,
-    however small the state. One that it cannot leave, because others hold it, causes no contact."""
-    system, t = problem.system, problem.grid.t0 + length.end
-    since = select(any_of(~state.armed), abs(stop_gradient(length.h)), 0.0)
-    # While a state is held, rounding accumulates over many steps.
-    since = select(state.held, typical_step(problem, state), since)
-    size = where(since > 0, since * stop_gradient(fields.sizes()), 0.0)
-    if are_coupled(system):
-        # The rounding of a force moves the position too, whose rate is zero but for this.
-        given = stop_gradient((t, x, since, size, unilateral.sides_of(state.motion.mode)))
-        size = system.where_any(since > 0, ft.partial(_passed_on, system), _as_it_is, *given)
-    more = NOISE * problem.system.eps * (abs(stop_gradient(at.normals)) @ size)
-    return dataclasses.replace(at, noise=at.noise + more)
-
-
-def _passed_on(
-    system: ComponentSystem, t: Array, x: Components, h: Array, size: Components, sides: Components
-) -> Components:
-    """Changes of the state in a step of length h, of these sizes, with what they change in turn."""
-    _, push = jax.linearize(lambda t, x: system.field(t, x, sides), t, x)
-    at = 0 * t, 0 * x, size / select(h > 0, h, 1)
-    return maximum(size, terms_in_step(system.n, h, at, push))
-
-
-def _as_it_is(t: Array, x: Components, h: Array, size: Components, sides: Components) -> Components:
-    return size
+    # The guard of a side has the rounding of the steps before, and of forces that hold.
+    before = where(abs(state.motion.mode) == 1, state.motion.noise, 0.0)
+    reached = maximum(gathered, stop_gradient(before))
+    return Surfaces(h, h_t, normals, scale, noise, gathered, reached, off, unsettled)
 
 
 def evaluate_step_end(
@@ -161,7 +127,7 @@ def evaluate_step_end(
         later = led.next
     fields, rates = filippov.corners(system, t, x, forcing=forcing)
     if system.slides or are_coupled(system):
-        at = _with_rounding_of_forces(problem, state, length, at, fields, x)
+        at = with_rounding_of_forces(problem, state, length, at, fields, x, led)
     choice = decided(problem, state, (t, x), (fields, rates), at, led, later)
     whole = as_planned(state, choice, later)
     choice, again, redone = in_turn(problem, state, maps, whole, later)
@@ -212,7 +178,7 @@ def evaluate_step_end(
     if led is not None:
         end = _led_on(end, led)
     end = _to_later(problem, state, end)
-    return accumulation.follow_turns(problem, state, length, end, maps.reset)
+    return accumulation.follow_turns(problem, state, length, end, maps.reset, led)
 
 
 def _ticks_again(problem: Problem, state: LoopState, tau: Array) -> Array | None:
@@ -247,7 +213,9 @@ def _to_later(problem: Problem, state: LoopState, end: StepEnd) -> StepEnd:
         return end
     system, direction = problem.system, problem.grid.direction
     falls = direction * end.motion.rate < 0
+    # Those of one landing are here, however far their guards are beyond their rounding.
     here = (abs(end.motion.g) <= end.gathered) | is_close(problem, state, end.motion.g)
+    here = here | state.pending.surfaces
     comes = state.pending.waits & first_set(end.next) & falls & here
     at = problem.grid.t0 + end.motion.tau, end.motion.x
     motion, gap = (end.motion.mode, end.motion.f), (end.motion.g, end.motion.rate)
@@ -304,7 +272,7 @@ def _motion(
 def _led_on(end: StepEnd, led: Impact) -> StepEnd:
     """The end of a step with the consequences of its reset."""
     motion = end.motion
-    x = where(led.jump > 0, motion.x + led.jump * motion.f + led.kick, motion.x)
+    x = where(led.ends, motion.x + led.jump * motion.f + led.kick, motion.x)
     motion = dataclasses.replace(motion, x=x)
     return dataclasses.replace(end, motion=motion, jump=led.jump, still=led.still)
 

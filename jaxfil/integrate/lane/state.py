@@ -194,7 +194,7 @@ class LoopState(eqx.Module):
     settled: Array | None
     """Whether the resets of the pending landing are already applied; None without resets."""
     turn: Any
-    """The current `accumulation.Turn`; None if contacts cannot accumulate by turns."""
+    """The current `turn.Turn`; None if contacts cannot accumulate by turns."""
     extensions: tuple[Any, ...] = ()
     """The states of the run's `Extension`s, in their order."""
 

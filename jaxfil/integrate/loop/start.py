@@ -14,7 +14,7 @@ from jax.custom_derivatives import SymbolicZero
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.contacts import accumulation
+from jaxfil.integrate.contacts.turn import no_turn
 from jaxfil.integrate.contacts.beginning import begin
 from jaxfil.integrate.contacts.guards import NOISE, guards, stays_on, surface_noise, unguarded
 from jaxfil.integrate.contacts.switch import with_reactions
@@ -297,7 +297,7 @@ def initial_state(problem: Problem, x: Components) -> LoopState:
         table=empty_table(system, recording.max_events),
         saves=recording.recorder.empty(system),
         settled=false if system.resets else None,
-        turn=accumulation.no_turn(system, x),
+        turn=no_turn(system, x),
     )
     # Extensions begin with a complete lane, which they may change. A bound violated at t0 ends it.
     own = []

@@ -7,7 +7,9 @@ single surfaces.
 """
 
 import dataclasses
+import functools as ft
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -47,6 +49,9 @@ class Structure:
     one."""
     constant: tuple[int, ...]
     """The numbers of the state whose field is zero, such as a latch, which only events change."""
+    groups: tuple[int, ...]
+    """For each surface the first one of its group. Sides within a group switch each other's rates
+    dH_j/dt or, where no side switches that, the rates of these."""
 
 
 def of(
@@ -92,11 +97,14 @@ def of(
             flat=flat,
             members=None,
             constant=constant,
+            groups=tuple(range(m)),
         )
     # Reactions of different sides multiply different vectors, so a field with reactions counts as
     # affine in at most one side.
     single = len(set().union(*switched)) < 2
     all_sides = jax.tree.map(lambda _: True, of_side[0])
+    touched = [_any_of(of_number, of_one) for of_one in seen]
+    second = [_flat(field.depends(*nothing, numbers, steady, *none)) for numbers in touched]
     affine = single if reacting else field.is_affine(*nothing, still, all_sides, *none)
     return Structure(
         switched=switched,
@@ -110,15 +118,25 @@ def of(
         flat=flat,
         members=_members(np.array(steers)),
         constant=constant,
+        groups=_groups(np.array(seen, bool), np.array(second, bool), np.array(steers, bool)),
     )
 
 
 def constants_of(system: System, x: Array, batch: int = 0) -> Bool[np.ndarray, " n"]:
     """Flags of the numbers of the state whose field is zero (`Structure.constant`), given a system
     and a state whose arrays have this many axes of a batch."""
-    leaves, static = eqx.partition(system, eqx.is_array)
+    arrays, static = eqx.partition(system, eqx.is_array)
     shape = lambda v: jax.ShapeDtypeStruct(v.shape[batch:], v.dtype)  # noqa: E731
-    leaves, x = jax.tree.map(shape, (leaves, x))
+    shapes, form = jax.tree.flatten(jax.tree.map(shape, (arrays, x)))
+    others, other_form = jax.tree.flatten(static)
+    return _constants(form, tuple(shapes), other_form, tuple(others))
+
+
+@ft.lru_cache(maxsize=64)  # so that a verb that repeats another one's question traces no field
+def _constants(form: Any, shapes: tuple, other_form: Any, others: tuple) -> np.ndarray:
+    """`constants_of` for arrays of these shapes and everything else in a system."""
+    leaves, x = jax.tree.unflatten(form, shapes)
+    static = jax.tree.unflatten(other_form, others)
     t = jax.ShapeDtypeStruct((), x.dtype)
 
     def switching(leaves: System, t: Array, x: Array) -> Array:
@@ -141,6 +159,26 @@ def of_own_reactions(second: Traced, at: tuple, of_side: Sequence) -> tuple[bool
 def _flat(flags: Components) -> list[bool]:
     """The flags of all numbers of a vector."""
     return [bool(flag) for v in flags.parts for flag in np.ravel(v)]
+
+
+def _any_of(of_number: Sequence, flags: Sequence[bool]) -> Any:
+    """The flags of several numbers of a state."""
+    chosen = [unit for unit, flag in zip(of_number, flags, strict=True) if flag]
+    nothing = jax.tree.map(lambda _: False, of_number[0])
+    return ft.reduce(lambda a, b: jax.tree.map(np.logical_or, a, b), chosen, nothing)
+
+
+def _groups(first: np.ndarray, second: np.ndarray, steers: np.ndarray) -> tuple[int, ...]:
+    """`Structure.groups`, given (m, n) flags of the numbers of the field that a side switches, and
+    of the numbers that depend on these, and (n, m) flags of which number is in which surface."""
+    m = steers.shape[1]
+    rates = (first[:, :, None] & steers).any(axis=1)
+    late = (second[:, :, None] & steers).any(axis=1) & ~rates.any(axis=0)
+    linked = rates | late
+    linked = linked | linked.T | np.eye(m, dtype=bool)
+    for _ in range(m):  # so often at most until nothing changes
+        linked = linked @ linked
+    return tuple(map(int, np.argmax(linked, axis=1)))
 
 
 def _are_separate(switched: Sequence[tuple[int, ...]], steers: Sequence[list[bool]]) -> bool:

@@ -431,3 +431,75 @@ def test_a_surface_that_is_crossed_and_crossed_back_before_the_limit_is_seen():
     # The turns agree from t = 2.938 on.
     sol = jf.solve(Dosed(jnp.array(1.0)), jnp.array([-0.5, 0.5, 0.0]), 0.0, 4.0, 0.8)
     assert_allclose(sol.x_final, [0, 0, 0.04], rtol=0, atol=1e-12)
+
+
+class Landing(jf.System):
+    """Balls with y_i'' = −1 on a floor, each with an e of its own, and z_i' the reaction of it."""
+
+    slides = False
+    e: jax.Array
+
+    def vector_field(self, t, x, side, reaction):
+        v = x[2:4]
+        return jnp.concatenate([v, reaction - 1.0, reaction])
+
+    def switching(self, t, x):
+        return x[:2]
+
+    def reset(self, t, x, surface):
+        return x.at[2 + surface].multiply(-self.e[surface])
+
+
+def test_balls_that_come_to_rest_at_one_time_have_the_derivatives_of_each():
+    # From rest at h a ball is at rest from T = √(2h) (1 + 2e/(1 − e)) on, and z = t − T. The second
+    # one rests at the same time, just after it and long before it.
+    e = jnp.array([[0.5, 0.5], [0.5, 0.8], [0.5, 0.8], [0.8, 0.5]])
+    after = jnp.array([0.0, 0.0, 1e-6, -1.0])
+    lasts = 1 + 2 * e / (1 - e)
+    rest = np.sqrt(2.0) * lasts[:, 0]
+    h = jnp.stack([jnp.ones(4), ((rest + after) / lasts[:, 1]) ** 2 / 2], axis=1)
+
+    def end(h, e, t1):
+        x0 = jnp.concatenate([h, jnp.zeros(4)])
+        sol = jf.solve(Landing(e), x0, 0.0, t1, 0.05, throw=False)
+        return sol.x_final[4:], (sol.result, sol.x_final[4:])
+
+    jacobian = jax.jit(jax.vmap(jax.jacfwd(end, has_aux=True)))
+    slopes, (results, z) = jacobian(h, e, rest + 1.0)
+    assert (outcome_names(results) == "successful").all()
+    assert_allclose(z, 1.0 - np.stack([0 * after, after], axis=1), atol=1e-10)
+    exact = -np.stack([rest, rest + after], axis=1) / (2 * h)
+    # Contacts of both within the rounding of times are one landing, which relates their times to
+    # each other to within that rounding in units of a flight.
+    for found, own in zip(slopes, exact, strict=True):
+        assert_allclose(found, np.diag(own), atol=1e-4 * abs(own).max())
+
+
+class Controllers(jf.System):
+    """Controllers x_i'' = −2 sgn x_i − sgn x_i', and z_i' = 1 while x_i approaches zero."""
+
+    def vector_field(self, t, x, side):
+        _, v, _ = jnp.split(x, 3)
+        near, way = jnp.split(side, 2)
+        return jnp.concatenate([v, -2.0 * near - way, 0.5 * (1 - near * way)])
+
+    def switching(self, t, x):
+        return x[: 2 * len(x) // 3]
+
+
+def test_controllers_that_come_to_rest_at_one_time_have_no_derivative():
+    # From rest at q a controller approaches zero for √(2q), and departs for a third of that time,
+    # to −q/3.
+    def end(q):
+        x0 = jnp.concatenate([q, jnp.zeros(4)])
+        sol = jf.solve(Controllers(), x0, 0.0, 9.0, 0.05, throw=False)
+        return sol.x_final[4:], (sol.result, sol.x_final[4:])
+
+    starts = jnp.array([[1.0, 1.0], [1.0, 1.3]])
+    slopes, (results, z) = jax.jit(jax.vmap(jax.jacfwd(end, has_aux=True)))(starts)
+    assert (outcome_names(results) == "successful").all()
+    near = np.sqrt(2 * starts) / (1 - np.sqrt(1 / 3))
+    exact = near + (9.0 - 4 * near / 3) / 2
+    assert_allclose(z, exact, rtol=1e-9)
+    assert np.isnan(slopes[0]).all()
+    assert_allclose(slopes[1], np.diag(near[1] / 6 / starts[1]), atol=1e-9)
