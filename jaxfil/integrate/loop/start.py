@@ -14,10 +14,10 @@ from jax.custom_derivatives import SymbolicZero
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.contacts.turn import no_turn
 from jaxfil.integrate.contacts.beginning import begin
 from jaxfil.integrate.contacts.guards import NOISE, guards, stays_on, surface_noise, unguarded
 from jaxfil.integrate.contacts.switch import with_reactions
+from jaxfil.integrate.contacts.turn import no_turn
 from jaxfil.integrate.lane.problem import Problem, period_outcome
 from jaxfil.integrate.lane.recording import empty_table
 from jaxfil.integrate.lane.state import (
