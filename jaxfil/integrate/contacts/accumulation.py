@@ -81,11 +81,14 @@ def follow_turns(
     upcoming = done & turn.met
     if end.jump is not None and end.next is not None:
         jump, upcoming = select(done, jump, end.jump), where(done, upcoming, end.next)
-    # Changes of other surfaces by this switch are part of the completed turns.
+    # Changes of other surfaces by this switch are part of the completed turns, and the mode at the
+    # limit is not the one planned here.
     again = None if end.again is None else end.again & ~done
+    planned = None if end.planned is None else end.planned & ~done
     return dataclasses.replace(
         end,
         again=again,
+        planned=planned,
         motion=dataclasses.replace(end.motion, x=where(done, x, end.motion.x)),
         turn=turn,
         jump=jump,

@@ -274,7 +274,9 @@ def _led_on(end: StepEnd, led: Impact) -> StepEnd:
     motion = end.motion
     x = where(led.ends, motion.x + led.jump * motion.f + led.kick, motion.x)
     motion = dataclasses.replace(motion, x=x)
-    return dataclasses.replace(end, motion=motion, jump=led.jump, still=led.still)
+    # The mode after a chattering is decided at its end.
+    planned = None if end.planned is None else end.planned & ~led.ends
+    return dataclasses.replace(end, motion=motion, planned=planned, jump=led.jump, still=led.still)
 
 
 def with_reactions(

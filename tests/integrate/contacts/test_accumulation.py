@@ -503,3 +503,46 @@ def test_controllers_that_come_to_rest_at_one_time_have_no_derivative():
     assert_allclose(z, exact, rtol=1e-9)
     assert np.isnan(slopes[0]).all()
     assert_allclose(slopes[1], np.diag(near[1] / 6 / starts[1]), atol=1e-9)
+
+
+class Rocking(jf.System):
+    """A block of unit mass on two legs at ±b, with the moment of inertia J; gravity is 1. The
+    impact of a leg takes its velocity."""
+
+    J: jax.Array
+    b: jax.Array
+    slides = False
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[2], x[3], -jnp.ones_like(t), jnp.zeros_like(t)])
+
+    def switching(self, t, x):
+        return jnp.stack([x[0] - self.b * x[1], x[0] + self.b * x[1]])
+
+    def reset(self, t, x, surface):
+        arm = jnp.where(surface == 0, -self.b, self.b)
+        push = -(x[2] + arm * x[3]) / (1 + self.b**2 / self.J)
+        return x.at[2].add(push).at[3].add(arm * push / self.J)
+
+
+def test_a_block_rocks_to_rest():
+    # On one leg the other one, raised by h, falls at 1 − ρ, with ρ = (J − b²)/(J + b²), and from
+    # impact to impact of either one its velocity is ρ times smaller.
+    J, b, h = jnp.array([1.0, 1.0, 2.0]), jnp.array([0.6, 0.9, 0.7]), 0.3
+
+    def rest(J, b):
+        ratio = (J - b**2) / (J + b**2)
+        fall = 1 - ratio
+        return jnp.sqrt(2 * h / fall) + 2 * ratio * jnp.sqrt(2 * h * fall) / fall**2
+
+    def last(J, b, t1):
+        x0 = jnp.stack([h / 2 + 0 * b, h / (2 * b), 0 * b, 0 * b])
+        sol = jf.solve(Rocking(J, b), x0, 0.0, t1, 0.05, max_events=256, throw=False)
+        return sol.events.ts[sol.num_events - 1], sol
+
+    found = jax.jit(jax.vmap(jax.value_and_grad(last, (0, 1), has_aux=True)))
+    (times, sol), slopes = found(J, b, rest(J, b) + 2)
+    assert (outcome_names(sol.result) == "successful").all()
+    np.testing.assert_array_equal(sol.mode_final, 2)
+    assert_allclose(times, rest(J, b), rtol=1e-11)
+    assert_allclose(slopes, jax.vmap(jax.grad(rest, (0, 1)))(J, b), rtol=1e-7)
