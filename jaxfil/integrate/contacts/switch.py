@@ -177,7 +177,7 @@ def evaluate_step_end(
     )
     if led is not None:
         end = _led_on(end, led)
-    end = _to_later(problem, state, end)
+    end = _to_later(problem, state, end, at.reached)
     return accumulation.follow_turns(problem, state, length, end, maps.reset, led)
 
 
@@ -206,16 +206,14 @@ def _members(state: LoopState, maps: Maps, motion: Motion, later: Components | N
     return members
 
 
-def _to_later(problem: Problem, state: LoopState, end: StepEnd) -> StepEnd:
+def _to_later(problem: Problem, state: LoopState, end: StepEnd, reached: Components) -> StepEnd:
     """The end of a switch, moved to the next contact at the same time. The time between them is
     zero and has a derivative of its own."""
     if end.next is None:
         return end
     system, direction = problem.system, problem.grid.direction
     falls = direction * end.motion.rate < 0
-    # Those of one landing are here, however far their guards are beyond their rounding.
-    here = (abs(end.motion.g) <= end.gathered) | is_close(problem, state, end.motion.g)
-    here = here | state.pending.surfaces
+    here = (abs(end.motion.g) <= reached) | is_close(problem, state, end.motion.g)
     comes = state.pending.waits & first_set(end.next) & falls & here
     at = problem.grid.t0 + end.motion.tau, end.motion.x
     motion, gap = (end.motion.mode, end.motion.f), (end.motion.g, end.motion.rate)
