@@ -280,13 +280,12 @@ def _are_of_several_groups(problem: Problem, met: Components) -> Array:
 
 
 def _has_own_impacts(led: Impact, met: Components) -> Array:
-    """Whether one of several surfaces throws back without an effect on the rates of others, nor
-    theirs on its own. Its impacts end at a time of their own, with its own derivative, even if
+    """Whether one of several surfaces throws back without an effect on the others, nor theirs on
+    it. Its impacts end at a time of their own, with its own derivative, even if
     others end at the same time, and `resets` completes them."""
-    assert led.constraints is not None
-    gains, flags = abs(led.constraints.impulse.gains), where(met, 1.0, 0.0)
-    own = gains.diagonal() * flags
-    others = (gains @ flags - own) + (gains.added(0 * own, flags) - own)
+    flags = where(met, 1.0, 0.0)
+    own = led.links.diagonal() * flags
+    others = (led.links @ flags - own) + (led.links.added(0 * own, flags) - own)
     return (total(flags) > 1) & any_of(met & led.walls & (others <= 0))
 
 

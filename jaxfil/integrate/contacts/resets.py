@@ -90,6 +90,8 @@ class Impact(eqx.Module):
     """The displacement of the state in that time beyond the field's, n components."""
     constraints: Constraints | None
     """The surfaces as constraints, if several are decided together; otherwise None."""
+    links: Rows
+    """Sizes of the changes of H_i and of its rate by an impulse at surface j, m numbers each."""
     by_time: Components | None
     """∂ψ/∂t of the constraints."""
 
@@ -273,7 +275,8 @@ def _follow(
     slow = state.pending.surfaces & there & (abs(rate) <= noise)
     consistent = consistent & ~any_of(slow & ~c.known & ~stays_on(system, state.motion.mode))
     more = any_of(owed)
-    ends, jump, kick = _chattering(problem, state, length, reset, seen, at, rests, more)
+    links = abs(c.impulse.gains).plus(abs(at.normals.products(c.impulse.directions)))
+    ends, jump, kick = _chattering(problem, state, length, reset, seen, at, rests, links, more)
     # A surface that the motion leaves has no impact: a reset would throw it back through it.
     others = more & state.pending.surfaces & ~reset.heard & ~spared & ~(parts & ~limit)
     upcoming = where(ends, reset.acted, owed | others)
@@ -288,6 +291,7 @@ def _follow(
         jump=jump,
         kick=kick,
         constraints=c if system.m > 1 else None,
+        links=links,
         by_time=seen.by_time if system.m > 1 else None,
     )
 
@@ -300,6 +304,7 @@ def _chattering(
     seen: View,
     at: Surfaces,
     rests: Components,
+    links: Rows,
     more: Array,
 ) -> tuple[Array, Array, Components]:
     """Whether impacts on the surface just reset die out in a time so short that the field is
@@ -338,7 +343,7 @@ def _chattering(
     # friction that sticks again in each flight. Where H cannot resolve the flights, the impulse of
     # all impacts is applied at once, which leaves the same velocities once the other is reached.
     once = total(where(ends & low, minimum(times, same), 0.0))
-    apart = _apart_from(c, ends) & seen.effect.throws_back
+    apart = _apart_from(links, ends) & seen.effect.throws_back
     clear, alone = is_clear(time, ~ends), is_clear(time, ~apart)
     # Another wall, on which these impacts have no effect, has impacts of its own in that time. The
     # motion is not moved in time then, but put where the one at rest leads to the same state.
@@ -364,7 +369,7 @@ def _chattering(
     return found & (total_time > 0), moved, c.impulse.directions.added(kick, impulses)
 
 
-def _apart_from(c: Constraints, one: Components) -> Components:
-    """The surfaces whose rates an impulse at one of them does not change, nor theirs its rate."""
-    gains, flags = abs(c.impulse.gains), where(one, 1.0, 0.0)
-    return ~one & (gains @ flags <= 0) & (gains.added(0 * flags, flags) <= 0)
+def _apart_from(links: Rows, one: Components) -> Components:
+    """The surfaces on which an impulse at one of them has no effect, nor theirs on it."""
+    flags = where(one, 1.0, 0.0)
+    return ~one & (links @ flags <= 0) & (links.added(0 * flags, flags) <= 0)
