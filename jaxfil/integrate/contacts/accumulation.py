@@ -26,6 +26,7 @@ its copy must give L + ε (R(p) − L) again, whatever the others have written t
 
 import dataclasses
 import functools as ft
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -33,7 +34,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.integrate.contacts.guards import stays_on
-from jaxfil.integrate.contacts.resets import Impact, Reset
+from jaxfil.integrate.contacts.resets import Impact, Reset, effects
 from jaxfil.integrate.contacts.turn import LONGEST, Turn
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState, StepEnd
@@ -108,12 +109,7 @@ def _counts(state: LoopState) -> Array:
 
 
 def _as_before(
-    problem: Problem,
-    state: LoopState,
-    length: Length,
-    end: StepEnd,
-    reset: Reset | None,
-    led: Impact | None,
+    problem: Problem, state: LoopState, length: Length, end: StepEnd, *_: Any
 ) -> tuple[Turn | None, Array, Components]:
     return state.turn, jnp.zeros_like(end.motion.tau), end.motion.x
 
@@ -198,7 +194,7 @@ def _turned(
         copy=copy and where(starts, (1 - _scale(problem)) * stop_gradient(limit), copy),
     )
     jump = select(completed, left - late, 0)
-    if not problem.system.resets:
+    if not problem.system.resets and len(set(problem.system.structure.groups)) > 1:
         # Those of independent surfaces that end at one time end at two for other parameters.
         both = _are_of_several_groups(problem, turn.met | state.pending.surfaces)
         jump = undefined_where(stop_gradient(completed & both), jump)
@@ -283,10 +279,10 @@ def _has_own_impacts(led: Impact, met: Components) -> Array:
     """Whether one of several surfaces throws back without an effect on the others, nor theirs on
     it. Its impacts end at a time of their own, with its own derivative, even if
     others end at the same time, and `resets` completes them."""
-    flags = where(met, 1.0, 0.0)
-    own = led.links.diagonal() * flags
-    others = (led.links @ flags - own) + (led.links.added(0 * own, flags) - own)
-    return (total(flags) > 1) & any_of(met & led.walls & (others <= 0))
+    assert led.links is not None
+    one = total(met.astype(jnp.int32)) == 1
+    alone = effects(led.links, met) <= 2 * led.links.diagonal()
+    return ~one & any_of(met & led.walls & alone)
 
 
 def _kind(hit: Components, mode: Components) -> Array:

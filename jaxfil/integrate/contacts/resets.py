@@ -90,8 +90,9 @@ class Impact(eqx.Module):
     """The displacement of the state in that time beyond the field's, n components."""
     constraints: Constraints | None
     """The surfaces as constraints, if several are decided together; otherwise None."""
-    links: Rows
-    """Sizes of the changes of H_i and of its rate by an impulse at surface j, m numbers each."""
+    links: Rows | None
+    """Sizes of the changes of H_i and of its rate by an impulse at surface j, m numbers each; None
+    for one surface."""
     by_time: Components | None
     """∂ψ/∂t of the constraints."""
 
@@ -275,7 +276,9 @@ def _follow(
     slow = state.pending.surfaces & there & (abs(rate) <= noise)
     consistent = consistent & ~any_of(slow & ~c.known & ~stays_on(system, state.motion.mode))
     more = any_of(owed)
-    links = abs(c.impulse.gains).plus(abs(at.normals.products(c.impulse.directions)))
+    links = None
+    if system.m > 1:
+        links = abs(c.impulse.gains).plus(abs(at.normals.products(c.impulse.directions)))
     ends, jump, kick = _chattering(problem, state, length, reset, seen, at, rests, links, more)
     # A surface that the motion leaves has no impact: a reset would throw it back through it.
     others = more & state.pending.surfaces & ~reset.heard & ~spared & ~(parts & ~limit)
@@ -304,7 +307,7 @@ def _chattering(
     seen: View,
     at: Surfaces,
     rests: Components,
-    links: Rows,
+    links: Rows | None,
     more: Array,
 ) -> tuple[Array, Array, Components]:
     """Whether impacts on the surface just reset die out in a time so short that the field is
@@ -332,24 +335,26 @@ def _chattering(
     time = total(where(ends, minimum(times, _LEAP * longest), 0.0))
     slid = state.motion.mode == 0
 
-    def is_clear(time: Array, others: Components) -> Array:
+    def is_clear(time: Array, aside: Components) -> Array:
         ahead = sides * (at.h + time * (c.rate + 0.5 * time * held))
         # A slide stays on its surface, unless the reset has moved the state off it, to either side.
         left = where(abs(at.h) > at.gathered, abs(at.h) - time * abs(c.rate), 0.0)
         ahead = where(slid, left, ahead)
-        return ~any_of(others & ~((ahead >= -at.gathered) | rests | ends))
+        return ~any_of(~((ahead >= -at.gathered) | rests | aside))
 
     # The chattering is not completed if another surface would be reached in that time, as by a
     # friction that sticks again in each flight. Where H cannot resolve the flights, the impulse of
     # all impacts is applied at once, which leaves the same velocities once the other is reached.
     once = total(where(ends & low, minimum(times, same), 0.0))
-    apart = _apart_from(links, ends) & seen.effect.throws_back
-    clear, alone = is_clear(time, ~ends), is_clear(time, ~apart)
+    clear = alone = is_clear(time, ends)
+    if links is not None:
+        apart = ~ends & (effects(links, ends) <= 0) & seen.effect.throws_back
+        alone = is_clear(time, ends | apart)
     # Another wall, on which these impacts have no effect, has impacts of its own in that time. The
     # motion is not moved in time then, but put where the one at rest leads to the same state.
-    still = any_of(ends) & alone & ~clear
-    time = select(clear | alone, time, once)
-    found = any_of(ends) & (clear | alone | ((once > 0) & is_clear(once, ~ends)))
+    still = alone & ~clear
+    time = select(alone, time, once)
+    found = any_of(ends) & (alone | ((once > 0) & is_clear(once, ends)))
     # The limit may be past a grid point by its rounding, which must not become a step back from
     # the wall in the motion after it.
     total_time = select(found, time - length.beyond(time), 0.0)
@@ -369,7 +374,8 @@ def _chattering(
     return found & (total_time > 0), moved, c.impulse.directions.added(kick, impulses)
 
 
-def _apart_from(links: Rows, one: Components) -> Components:
-    """The surfaces on which an impulse at one of them has no effect, nor theirs on it."""
-    flags = where(one, 1.0, 0.0)
-    return ~one & (links @ flags <= 0) & (links.added(0 * flags, flags) <= 0)
+def effects(links: Rows, some: Components) -> Components:
+    """Sizes of the effects (`Impact.links`) of impulses at some surfaces on each, and of an impulse
+    at each on these, m components."""
+    flags = where(some, 1.0, 0.0)
+    return links.added(links @ flags, flags)

@@ -103,13 +103,17 @@ def of(
     # affine in at most one side.
     single = len(set().union(*switched)) < 2
     all_sides = jax.tree.map(lambda _: True, of_side[0])
-    touched = [_any_of(of_number, of_one) for of_one in seen]
-    second = [_flat(field.depends(*nothing, numbers, steady, *none)) for numbers in touched]
+    # A reaction acts on the rates of other surfaces too.
+    separate = not reacting and _are_separate(switched, steers)
+    groups = tuple(range(m))
+    if not separate:
+        touched = [_any_of(of_number, of_one) for of_one in seen]
+        second = [_flat(field.depends(*nothing, numbers, steady, *none)) for numbers in touched]
+        groups = _groups(*(np.array(flags, bool) for flags in (seen, second, steers)))
     affine = single if reacting else field.is_affine(*nothing, still, all_sides, *none)
     return Structure(
         switched=switched,
-        # A reaction acts on the rates of other surfaces too.
-        separate=not reacting and _are_separate(switched, steers),
+        separate=separate,
         affine=affine,
         alone=alone,
         steered=steered,
@@ -118,7 +122,7 @@ def of(
         flat=flat,
         members=_members(np.array(steers)),
         constant=constant,
-        groups=_groups(np.array(seen, bool), np.array(second, bool), np.array(steers, bool)),
+        groups=groups,
     )
 
 
@@ -172,11 +176,11 @@ def _groups(first: np.ndarray, second: np.ndarray, steers: np.ndarray) -> tuple[
     """`Structure.groups`, given (m, n) flags of the numbers of the field that a side switches, and
     of the numbers that depend on these, and (n, m) flags of which number is in which surface."""
     m = steers.shape[1]
-    rates = (first[:, :, None] & steers).any(axis=1)
-    late = (second[:, :, None] & steers).any(axis=1) & ~rates.any(axis=0)
-    linked = rates | late
-    linked = linked | linked.T | np.eye(m, dtype=bool)
-    for _ in range(m):  # so often at most until nothing changes
+    rates = first @ steers
+    late = second @ steers & ~rates.any(axis=0)
+    linked = rates | late | np.eye(m, dtype=bool)
+    linked = linked | linked.T
+    for _ in range(m.bit_length()):  # each time over chains of twice the length
         linked = linked @ linked
     return tuple(map(int, np.argmax(linked, axis=1)))
 
