@@ -28,9 +28,10 @@ def minima(pieces: Pieces, j: int, kind: str) -> list[Candidate]:
     flown = (modes == 0)[pieces.number] == sliding
     if not np.any(flown):
         return []
-    abrupt, arrives = _changes(pieces, j, _goes_on(pieces, modes, j))
+    between = _flights_between(pieces)
+    abrupt, arrives = _changes(pieces, j, _goes_on(pieces, modes, j, between))
     guards = pieces.first.guards[:, j], pieces.last.guards[:, j]
-    rates = pieces.first.rates[:, j], arrives
+    rates = _rates_at_start(pieces, j, sliding, between), arrives
     lengths, found = pieces.stops - pieces.starts, []
 
     def add(k: int, least: float, at: float, minimum: str) -> None:
@@ -86,20 +87,51 @@ def _lowest(
     return part, value
 
 
-def _goes_on(pieces: Pieces, modes: np.ndarray, j: int) -> np.ndarray:
+def _flights_between(pieces: Pieces) -> dict[int, np.ndarray]:
+    """The flights that end between a piece and the next one, for each piece with such ones. Several
+    contacts at one time have flights without pieces between them."""
+    number, count = pieces.number, len(pieces.flights)
+    after = np.roll(number, -1)
+    ends = after != number
+    ends[-1] = np.isfinite(pieces.flights[0].start)
+    return {
+        k: (number[k] + np.arange((after[k] - number[k] - 1) % count + 1)) % count
+        for k in np.flatnonzero(ends).tolist()
+    }
+
+
+def _reaches(pieces: Pieces, j: int, passed: np.ndarray) -> bool:
+    """Whether one of these flights ends on surface j."""
+    return any(pieces.flights[i].surfaces[j] for i in passed)
+
+
+def _goes_on(
+    pieces: Pieces, modes: np.ndarray, j: int, between: dict[int, np.ndarray]
+) -> np.ndarray:
     """Whether each piece is followed by one of the same flight, or there is only a contact with
     another surface between them; given the mode of surface j on each flight."""
-    flights, number = pieces.flights, pieces.number
-    after, count = np.roll(number, -1), len(flights)
-    ends = after != number
-    ends[-1] = np.isfinite(flights[0].start)
-    goes_on = ~ends
-    for k in np.flatnonzero(ends).tolist():
-        # Several contacts at one time have flights without pieces between them.
-        passed = (number[k] + np.arange((after[k] - number[k] - 1) % count + 1)) % count
-        reached = any(flights[i].surfaces[j] for i in passed)
-        goes_on[k] = not reached and bool(np.all(modes[passed] == modes[after[k]]))
+    after = np.roll(pieces.number, -1)
+    goes_on = np.ones(after.size, bool)
+    for k, passed in between.items():
+        stays = bool(np.all(modes[passed] == modes[after[k]]))
+        goes_on[k] = stays and not _reaches(pieces, j, passed)
     return goes_on
+
+
+def _rates_at_start(
+    pieces: Pieces, j: int, sliding: bool, between: dict[int, np.ndarray]
+) -> np.ndarray:
+    """The rate of the guard of surface j at the start of each piece. A flight that leaves the
+    surface rises from it: where the rate is zero, as at the end of a slide, its sign is
+    rounding."""
+    rates, guards = pieces.first.rates[:, j], pieces.first.guards[:, j]
+    leaves = np.zeros(rates.size, bool)
+    for k, passed in between.items():
+        leaves[(k + 1) % rates.size] = not sliding and _reaches(pieces, j, passed)
+    # A reset may put the motion somewhere else.
+    rounding = np.finfo(guards.dtype).eps ** 0.5
+    leaves = leaves & (abs(guards) <= rounding * np.max(abs(guards)))
+    return np.where(leaves, np.maximum(rates, 0), rates)
 
 
 def _changes(pieces: Pieces, j: int, goes_on: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

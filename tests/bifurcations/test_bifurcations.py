@@ -21,6 +21,7 @@ from jaxfil.bifurcations.flights import filled
 from jaxfil.bifurcations.locate import BIFURCATION_KINDS
 from jaxfil.model.outcomes import EventKind, outcome_names
 from jaxfil.model.parameter import replace_parameter
+from tests.oracles.stick_and_slip import least_gap
 from tests.problems import closed_forms
 from tests.problems.values import (
     BELT_ADDS,
@@ -732,6 +733,16 @@ def test_the_margin_is_that_of_a_minimum_within_a_long_step():
     system = eqx.tree_at(lambda s: s.wall, follower(0.7, 4.0), jnp.float64(101.5))
     orbit = jf.periodic_orbit(system, jnp.array([1.0]), steps=2, stepper=jf.Taylor(32))
     np.testing.assert_allclose(jf.grazing_margin(system, orbit), 100.47, rtol=0, atol=1e-7)
+
+
+@pytest.mark.slow
+def test_the_end_of_a_slide_is_no_graze():
+    """H and its rate are zero there on every orbit that sticks, but for rounding."""
+    values = np.linspace(1.2, 1.25, 24)
+    orbits = belt_orbits(values)
+    found = [jf.grazing_margin(lane(orbits.system, i), lane(orbits, i)) for i in range(values.size)]
+    expected = [least_gap(omega) for omega in values]
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-8)
 
 
 class Harvest(jf.System):
