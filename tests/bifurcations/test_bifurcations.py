@@ -220,6 +220,7 @@ class ThresholdWithClock(Threshold):
 
 
 @pytest.mark.parametrize("kind", [Threshold, ThresholdWithClock])
+@pytest.mark.slow
 def test_ticks_do_not_end_a_flight_beyond_its_surface(kind):
     orbit = jf.periodic_orbit(kind(jnp.array(0.8)), jnp.array([0.5]), steps=32)
     margin = jax.jit(lambda d: jf.grazing_margin(kind(d), orbit))
@@ -314,6 +315,7 @@ def margins(system, orbit, omegas):
     return eqx.filter_vmap(one)(jnp.asarray(omegas))
 
 
+@pytest.mark.slow
 def test_every_lane_of_a_margin_has_its_own_outcome(sd):
     system, orbits = sd
     found = margins(system, lane(orbits, 1), [0.8, np.nan, 0.855])
@@ -718,6 +720,7 @@ def follower(late, cut, shift=0.0):
         (0.1, 0.54, -1.05),
     ],
 )
+@pytest.mark.slow
 def test_the_margin_is_that_of_the_lower_minimum(late, cut, shift):
     """Between the ends of steps, at which the other one is lower for one of these times; in a
     flight without the heights of the other one; in a flight past the end of the period; and 0.05
@@ -891,6 +894,7 @@ def test_a_margin_and_a_value_have_second_derivatives():
     np.testing.assert_allclose(jax.grad(jax.grad(value))(c), (1 + c**2) ** -1.5, rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_a_margin_has_derivatives_by_a_number_that_functions_close_over():
     """x'' + x'/2 + 2 x = k cos t has the amplitude k/|1 + i/2|, and a wall at 3."""
 
@@ -928,6 +932,7 @@ class Bilinear(jf.System):
         return x[0] - 1
 
 
+@pytest.mark.slow
 def test_a_continuous_field_has_no_sliding_bifurcation():
     """The linear amplitude is 1 at A = |1 − ω² + 0.1 iω|; the other side's rate is rounding."""
     grazing = np.hypot(1 - 1.6**2, 0.1 * 1.6)

@@ -118,6 +118,7 @@ def test_each_orbit_has_its_outcome_and_one_is_nearest(found):
     assert "touches surface 1 from side +1" in told
 
 
+@pytest.mark.slow
 def test_a_place_that_others_next_to_it_are_nearer_than_is_told(orbits):
     """Where both thresholds are least the distance is stationary, but largest along the sets."""
     given, metric = np.array([1.0, 1.2, 0.0, 0.0]), np.diag([1.0, 100.0, 1.0, 1.0])

@@ -411,6 +411,7 @@ def test_folds_of_an_autonomous_orbit():
     assert_allclose(np.sum(curve.xs**2, axis=1), n / 2, rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_where_no_curve_begins():
     system, points = gears()
     orbit = eqx.tree_at(lambda orbit: orbit.x0, points["fold"][0].orbit, jnp.array([jnp.nan, 0.0]))

@@ -83,6 +83,7 @@ class Tank(jf.System):
         return x[0]
 
 
+@pytest.mark.slow
 def test_the_jacobian_beside_a_side_that_is_not_a_number_has_reverse_mode():
     """It is −2√p at x = 1/√p."""
     slope = jax.grad(lambda p: jf.equilibrium(Tank(p), jnp.array([0.9])).jacobian[0, 0])

@@ -30,6 +30,7 @@ class Tsit5(diffrax.Heun):
 
 
 @pytest.mark.parametrize("adaptive", [False, True])
+@pytest.mark.slow
 def test_dense_output_by_a_method_of_a_user_is_not_saved(tmp_path, adaptive):
     ball, x0 = jf.systems.BouncingBall(), jnp.array([1.0, 0.0])
     step = jf.Adaptive(1e-4) if adaptive else 0.05

@@ -175,6 +175,7 @@ def sticking_at(orbit):
     ("kind", "multiplier", "near"),
     [pytest.param("fold", 1, 4.4566, marks=pytest.mark.release), ("period-doubling", -1, 4.4964)],
 )
+@pytest.mark.slow
 def test_belt_with_a_cubic_spring(kind, multiplier, near):
     (point,) = of_kind(cubic_branch(), kind)
     assert_allclose(point.value, near, rtol=0, atol=1e-4)
@@ -306,6 +307,7 @@ def test_a_parameter_goes_to_zero_and_through_it(stop):
     assert_allclose(branch.orbits.x0, exact, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_force_goes_through_zero_and_the_orbit_with_it():
     z = 0.3 / (1 - 1.2**2 + 0.12j)
     system = S.ImpactOscillator(omega=1.2, amplitude=0.3)
@@ -316,6 +318,7 @@ def test_a_force_goes_through_zero_and_the_orbit_with_it():
     assert_allclose(branch.orbits.x0, exact, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_special_point_is_drawn_on_the_curve():
     # Between the orbits number 1 and 2, halfway.
     orbit = sd_branch().points[0].orbit

@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from scipy.optimize import brentq
 
 import jaxfil as jf
@@ -41,6 +42,7 @@ def orbit(amplitude):
     return system, jf.periodic_orbit(system, x0, max_events=64)
 
 
+@pytest.mark.slow
 def test_of_impacts_that_die_out_one_more_is_no_bifurcation():
     """Impacts end as they pass t0, and others become too low to be followed: it goes on resting."""
     system, start = orbit(1.7)

@@ -183,6 +183,7 @@ def test_a_short_doubled_branch_does_not_slip_onto_its_parent():
     assert_allclose(branch.values**2 + amplitude(branch, False) ** 2, 0.1**2, rtol=0, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_one_period_given_as_two_is_a_branch_of_its_own():
     system = Moebius(jnp.array(-1.1), jnp.array(1.0))
     orbit = jf.periodic_orbit(system, jnp.array([0.3, 0.2]), periods=2, steps=16)

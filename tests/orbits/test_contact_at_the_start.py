@@ -25,6 +25,7 @@ class Relay(jf.System):
 
 
 @pytest.mark.parametrize("options", [{}, {"segments": 2, "steps": 200}])
+@pytest.mark.slow
 def test_a_crossing_at_the_start_counts_once(options):
     """Half a period turns the state by π/2, and a crossing with the speed v multiplies the
     derivative by [[1, 0], [−s, 1]], s = 2k/v: the trace is s² − 2."""

@@ -71,6 +71,7 @@ class Fuse(jf.System):
 FUSE = Fuse(jnp.array(0.1), jnp.array(0.2))
 
 
+@pytest.mark.slow
 def test_a_branch_with_a_fuse():
     """x = A/c sin t until the fuse blows."""
     orbit = jf.periodic_orbit(FUSE, jnp.array([0.05, 0.4, 0.0]))
@@ -90,6 +91,7 @@ class Counted(Fuse):
         return x.at[2].add(1e-3)
 
 
+@pytest.mark.slow
 def test_a_component_that_events_change_does_not_close():
     found = jf.periodic_orbit(Counted(FUSE.a, FUSE.c), jnp.array([0.0, 0.5, 0.0]), throw=False)
     assert outcome_names(found.result) == "newton_singular"
@@ -112,6 +114,7 @@ class Thermostat(jf.System):
         return x.at[1].set(jnp.where(surface == 0, 0.0, 1.0))
 
 
+@pytest.mark.slow
 def test_an_autonomous_orbit_keeps_its_program():
     for r in (0, 1):
         high = 0.5 + 0.1 * r
@@ -124,6 +127,7 @@ def test_an_autonomous_orbit_keeps_its_program():
         assert found.stable
 
 
+@pytest.mark.slow
 def test_an_equilibrium_keeps_its_program():
     """Below the temperature of switching off, it rests at 0.4 q."""
 
@@ -186,6 +190,7 @@ class SquareWave(jf.System):
 
 
 @pytest.mark.parametrize("segments", [1, 2, 3])
+@pytest.mark.slow
 def test_a_latch_that_is_turned_back(segments):
     """x runs to u/a by exp(−a t) and turns at ±tanh(a/2)/a, which it has at t = 1/4."""
 
@@ -222,6 +227,7 @@ class Relay(jf.System):
 
 
 @pytest.mark.parametrize("segments", [1, 2])
+@pytest.mark.slow
 def test_a_relay_turned_twice_in_an_unknown_period(segments):
     """From the matrix exponential (K. J. Åström, Oscillations in systems with relay feedback,
     1995): period and multipliers of the cycle with ε = 1/10, which the start is near to."""

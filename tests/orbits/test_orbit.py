@@ -158,6 +158,7 @@ def test_extremes_lie_between_the_steps():
     assert_allclose(most[0], xs[:, 0].max(), rtol=0, atol=3 * (ts[1] ** 2) / 8)
 
 
+@pytest.mark.slow
 def test_highest_speeds_of_the_belt():
     # At 1.3 and 9.1 the belt's own speed.
     for name in BELT:
@@ -507,6 +508,7 @@ class Unexcited(jf.System):
 
 
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
+@pytest.mark.slow
 def test_a_component_that_is_zero_but_for_the_rounding_of_others(dtype):
     """x = (3 cos t + sin t)/10."""
 
@@ -523,6 +525,7 @@ def test_a_component_that_is_zero_but_for_the_rounding_of_others(dtype):
 
 
 @pytest.mark.parametrize("wall, damping", [(-1.0, 0.1), (-9.0, 0.0)])
+@pytest.mark.slow
 def test_an_orbit_behind_a_wall_is_told(wall, damping):
     """It hits the wall from behind, or stands still at t0, where no wall would change it."""
     behind = S.ImpactOscillator(amplitude=2.0, omega=1.2, wall=wall, damping=damping)
@@ -583,6 +586,7 @@ class Heated(jf.System):
         return x.at[1].set(jnp.where(surface == 0, 0.0, 1.0))
 
 
+@pytest.mark.slow
 def test_an_orbit_above_the_threshold_of_a_heater():
     """In summer x = 30 + 2 (cos t − sin t)."""
     orbit = jf.periodic_orbit(Heated(jnp.array(25.0)), jnp.array([30.0, 0.0]))
@@ -710,6 +714,7 @@ class Daily(jf.System):
 @pytest.mark.parametrize(
     ("guess", "u", "period"), [(2.0, -0.3125, 2), (4.0, 0.875, 2), (2.0, 0.4, 1)]
 )
+@pytest.mark.slow
 def test_an_orbit_of_twice_the_period_beside_another_one(guess, u, period):
     system, mu = Daily(jnp.asarray(0.02)), 0.02
     x0 = jnp.array([0.45, 300 + mu * u])
@@ -774,6 +779,7 @@ class Repelling(jf.System):
         return jnp.stack([x[1], self.k**2 * x[0] + jnp.cos(t)])
 
 
+@pytest.mark.slow
 def test_an_orbit_in_segments_is_that_of_its_segments():
     """A single run would grow by e^44."""
     orbit = jf.periodic_orbit(Repelling(jnp.asarray(7.0)), jnp.zeros(2), segments=8, steps=200)
@@ -786,6 +792,7 @@ def test_an_orbit_in_segments_is_that_of_its_segments():
     assert_allclose(run.xs[:, 0], -np.cos(run.ts) / 50, rtol=0, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_extremes_lie_within_a_step_as_long_as_the_period():
     steps = {"steps": 1, "stepper": jf.Taylor(40)}
     orbit = jf.periodic_orbit(Repelling(jnp.asarray(0.5)), jnp.zeros(2), t0=1.0, **steps)
@@ -922,6 +929,7 @@ def test_clocks_need_a_period():
         jf.periodic_orbit(Teeth(), jnp.zeros(1), period=1.0)
 
 
+@pytest.mark.slow
 def test_derivatives_by_a_number_that_functions_close_over():
     """x' = -x + cos wt, which never meets its surface, begins at 1/(1 + w²); its mean is 0, and its
     first cosine has that amplitude."""

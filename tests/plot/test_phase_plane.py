@@ -13,6 +13,7 @@ from tests.pictures import SADDLES
 matplotlib.use("Agg")
 
 
+@pytest.mark.slow
 def test_separatrices_of_saddles_lie_on_their_manifolds():
     """Those of (0, 2) and of the pseudo-saddle (0, 0) are straight lines, x = 0 and y = 2 or 0."""
     ax = jf.plot.phase_plane(SADDLES, ((-2, 2), (-1, 3)), Figure().add_subplot())

@@ -168,6 +168,7 @@ def test_what_is_no_function_of_time_state_and_side_is_refused_by_name():
         )
 
 
+@pytest.mark.slow
 def test_a_mean_over_no_time_is_refused_and_in_a_batch_an_outcome():
     def mean(t1, throw=False):
         ball = jf.systems.BouncingBall(g=1.0, restitution=1.0)

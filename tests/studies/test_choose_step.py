@@ -153,6 +153,7 @@ class Pulsed(jf.System):
         return jnp.ones_like(t)
 
 
+@pytest.mark.slow
 def test_a_stepper_whose_steps_miss_a_pulse_is_not_the_reference():
     # RK4 evaluates the field first at multiples of 1/8, 1/16 and 1/32, where the pulse is zero, so
     # that its ends do not change.

@@ -54,6 +54,7 @@ def test_contacts_may_appear_and_go_away_between_steps(found):
     assert outcome_names(found.results).tolist() == ended
 
 
+@pytest.mark.slow
 def test_the_card_tells_values_and_errors(found):
     lines = repr(found).splitlines()
     assert lines[0] == "Fit of Block to 45 numbers: successful"

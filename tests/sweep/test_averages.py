@@ -404,6 +404,7 @@ class Swing(jf.System):
         return jnp.stack([jnp.cos(t), -self.shift * x[1]])
 
 
+@pytest.mark.slow
 def test_extremes_at_kinks_and_the_size_of_what_rests_with_their_derivatives():
     """|x| is least where its rate jumps, and of two lines the lower one is largest where they
     cross, at 3x = p − 1. A mean square of zero has no derivative by its square root."""
@@ -644,6 +645,7 @@ def test_averages_at_a_section_late_in_single_precision():
     np.testing.assert_allclose(found.averages["side"], 0, rtol=0, atol=2 * error)
 
 
+@pytest.mark.slow
 def test_derivatives_by_numbers_that_functions_close_over():
     """x' = -x + k cos t from its orbit, x = k (cos t + sin t)/2, and loads j x or j x²."""
 

@@ -34,6 +34,7 @@ def test_three_motions_coexist(found):
         assert np.min(np.max(abs(points - expected), axis=1)) < 1e-4
 
 
+@pytest.mark.slow
 def test_each_state_is_labelled_by_where_it_goes(found):
     # Against a single run from the corner states, by another route.
     for i, j in ((0, 0), (5, 3), (7, 6)):

@@ -158,6 +158,7 @@ def test_spirals_end_in_their_point(rate, x0, dt):
     np.testing.assert_array_equal(sol.mode_final, [0, 0])
 
 
+@pytest.mark.slow
 def test_spirals_outward_and_round_do_not_end():
     for rate in (-0.1, 0.0):
         sol = run(Spiral(rate), [1.0, 0.0], 5.0, 1.0)
@@ -278,6 +279,7 @@ def test_what_is_saved_follows_all_turns():
     assert_allclose(steps.xs[:n, :2], exact, rtol=0, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_sections_see_all_turns():
     """Down through x = 1e-4, from the top v²/26 of each of the turns that are high enough."""
     level, q = 1e-4, np.sqrt(7 / 13)
@@ -399,6 +401,7 @@ class Tanks(jf.System):
         return x.at[2].set(jnp.where(surface == 0, 1.0, 0.0))
 
 
+@pytest.mark.slow
 def test_a_limit_that_no_reaction_can_hold_has_no_continuation():
     """Both tanks are empty, and together they leak faster than they fill."""
     leaks = jnp.array([[0.7, 0.8], [0.9, 0.6], [0.6, 0.65]])
@@ -450,6 +453,7 @@ class Landing(jf.System):
         return x.at[2 + surface].multiply(-self.e[surface])
 
 
+@pytest.mark.slow
 def test_balls_that_come_to_rest_at_one_time_have_the_derivatives_of_each():
     # From rest at h a ball is at rest from T = √(2h) (1 + 2e/(1 − e)) on, and z = t − T. The second
     # one rests at the same time, just after it and long before it.
@@ -487,6 +491,7 @@ class Controllers(jf.System):
         return x[: 2 * len(x) // 3]
 
 
+@pytest.mark.slow
 def test_controllers_that_come_to_rest_at_one_time_have_no_derivative():
     # From rest at q a controller approaches zero for √(2q), and departs for a third of that time,
     # to −q/3.
@@ -525,6 +530,7 @@ class Rocking(jf.System):
         return x.at[2].add(push).at[3].add(arm * push / self.J)
 
 
+@pytest.mark.slow
 def test_a_block_rocks_to_rest():
     # On one leg the other one, raised by h, falls at 1 − ρ, with ρ = (J − b²)/(J + b²), and from
     # impact to impact of either one its velocity is ρ times smaller.

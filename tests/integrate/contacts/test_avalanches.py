@@ -358,6 +358,7 @@ class Pair(jf.System):
         return jnp.where(jnp.arange(2, dtype=jnp.int32) == surface, 0.0, x + self.kick)
 
 
+@pytest.mark.slow
 def test_a_kick_to_the_threshold_itself_fires():
     """From 1/2, at t = 1 the second neuron is at 3/4, and the kick brings it to 1."""
     kicks = 0.25 + np.array([-1e-9, 0.0, 1e-9])
@@ -393,6 +394,7 @@ def test_a_start_on_the_threshold_fires_whatever_the_sign_of_h():
 
 
 @pytest.mark.parametrize("max_events", [64, 1024])
+@pytest.mark.slow
 def test_an_endless_avalanche_is_zeno_in_a_table_of_any_size(max_events):
     sol = solve(Pair(jnp.asarray(1.2)), [0.0, 0.0], 2.0, max_events=max_events)
     assert jf.RESULTS.names(sol.result) == "zeno"

@@ -353,6 +353,7 @@ def in_two_runs(system, section, direction, t1):
 @pytest.mark.parametrize(
     "system, x0, section, direction, t1, end", CUT, ids=["store", "floor", "time", "neurons"]
 )
+@pytest.mark.slow
 def test_a_run_that_ends_between_two_maps_ends_after_the_last(
     system, x0, section, direction, t1, end
 ):

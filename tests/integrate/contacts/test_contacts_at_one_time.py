@@ -332,6 +332,7 @@ def collided(v, e, first):
 
 
 @pytest.mark.parametrize("e", [0.5, 0.8, 0.95])
+@pytest.mark.slow
 def test_a_few_contacts_at_one_time_are_no_accumulation(e):
     """All flights last π. Two contacts of one pair at one time come after a long flight, and no
     third one."""

@@ -301,6 +301,7 @@ def test_event_times_and_states():
     assert_allclose(flat(got), flat(want), rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_saved_states_between_contacts():
     # Every saved state has its own derivative, before and after the two impacts.
     ts = [0.5, 2.0, 3.9]
@@ -463,6 +464,7 @@ def test_reverse_mode_of_a_batch(wrapped):
 
 
 @pytest.mark.parametrize("adjoint", [FORWARD, pytest.param(REVERSE, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_lanes_that_fail_take_nothing_from_the_gradient_of_others(adjoint):
     """One lane starts at NaN, and one has more impacts than the table has rows."""
     heights = jnp.asarray([1.0, np.nan, 1.5, 1e-4])

@@ -102,6 +102,7 @@ def test_several_roots_of_one_surface_in_a_step_of_a_curved_motion():
 
 @pytest.mark.parametrize(("levels", "end"), [((0.4, 0.9), -7.8), ((0.9, 0.4), 1.2)])
 @pytest.mark.parametrize("dt", [1.0, 0.17])
+@pytest.mark.slow
 def test_two_surfaces_in_one_step(levels, end, dt):
     # x' = side_1 + 10 side_2: the order of the contacts is in x(1).
     system = corner(lambda s1, s2: (s1 + 10 * s2, 1), LEVELS, levels)

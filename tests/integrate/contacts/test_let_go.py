@@ -32,6 +32,7 @@ class Valve(jf.System):
 
 
 @pytest.mark.parametrize("stepper", STEPPERS, ids=["Dopri8", "Taylor"])
+@pytest.mark.slow
 def test_a_brake_that_opens_without_a_load_lets_go(stepper):
     """v = s³/6 with s = t − a after the tick at a."""
 
@@ -67,6 +68,7 @@ class Door(jf.System):
         return x.at[2].set(1.0)
 
 
+@pytest.mark.slow
 def test_a_ball_falls_through_a_door_that_opens():
     """From rest, and from a height from which it rests before: h = −g (t − a)²/2."""
 

@@ -93,6 +93,7 @@ class Toggle(jf.System):
         (Toggle(), [0.0, 1.0], 0.25, [1.0, -1.0], 1.0, [2.5, -1.0]),
     ],
 )
+@pytest.mark.slow
 def test_a_run_from_just_after_the_passage_is_the_rest_of_the_run(system, x0, cut, after, t1, end):
     whole = jf.solve(system, jnp.array(x0), 0.0, t1, 0.07)
     rest = jf.solve(system, jnp.array(after), cut, t1, 0.07)
@@ -126,6 +127,7 @@ class Filled(jf.System):
 
 
 @pytest.mark.parametrize("product", [True, False])
+@pytest.mark.slow
 def test_a_float_switch_is_no_wall(product):
     """By its derivative the reset is that of a wall without restitution, which no water presses."""
     sol = jf.solve(Filled(jnp.array(0.8), product), jnp.array([0.0, 0.0, 0.0, 1.0]), 0.0, 4.0, 0.1)

@@ -62,6 +62,7 @@ def test_an_impact_turns_the_friction_round(coupling):
     )
 
 
+@pytest.mark.slow
 def test_only_what_a_reset_moves_is_an_impact():
     # It is dragged to the belt's speed and sticks there: a surface on which the reset does nothing.
     system = BeltAndWall(jnp.float64(50.0))

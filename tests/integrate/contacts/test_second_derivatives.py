@@ -67,6 +67,7 @@ def compare(got, want, rtol):
         for name in tagged("flow")
     ],
 )
+@pytest.mark.slow
 def test_closed_forms(name):
     p = PROBLEMS[name]
     exact = name.split()[0] in ("ball", "relays", "box", "leave")
@@ -212,6 +213,7 @@ def test_a_start_on_a_wall_has_the_time_of_its_impact():
         compare(one, other, 1e-13)
 
 
+@pytest.mark.slow
 def test_numbers_in_closures_have_the_derivatives_of_parameters():
     """From a start on the slide x = a, which moves with it, y = a t, which is a³ at a²."""
 
@@ -243,6 +245,7 @@ def test_numbers_in_closures_have_the_derivatives_of_parameters():
         compare(left, right, 1e-13)
 
 
+@pytest.mark.slow
 def test_event_times_and_saved_states():
     # A ball's first impact and the states before and after it.
     def kept(p):

@@ -232,6 +232,7 @@ def test_a_run_goes_on_from_the_state_recorded_before_a_memory_is_set():
     assert_within(again.x_final, whole.x_final, 256 * EPS * 22)
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_from_the_end_of_one_that_has_set_a_memory():
     whole = room([20.0, 1.0])
     assert_within(whole.events.ts[:2], [WARMS, WARMS + COOLS], 64 * EPS)
@@ -347,6 +348,7 @@ class Rough(Setting):
 
 
 @pytest.mark.parametrize("system", [Gap, Rough])
+@pytest.mark.slow
 def test_a_contact_within_rounding_of_a_cut_is_of_one_of_two_runs(system):
     """The rounding is that of the level, of the last step, or of the whole motion."""
     level = np.array([1000.0, 1.0, 1.0, 1e-3, 0.0])

@@ -84,6 +84,7 @@ class Opened(Hours):
         (Opened(), 0.0, [0.0, 1.0, 0.0], 2.0, [1, 0, 2]),
     ],
 )
+@pytest.mark.slow
 def test_what_stands_still_on_its_surface_stays_there(system, t0, x0, t1, end):
     sol = jf.solve(system, jnp.array(x0), t0, t1, 0.07)
     np.testing.assert_allclose(sol.x_final, end, rtol=0, atol=1e-13)

@@ -106,6 +106,7 @@ class Pull(jf.System):
         return jnp.stack([1 + self.a * (x[0] - 1), self.b * x[1]])
 
 
+@pytest.mark.slow
 def test_a_map_at_its_fixed_point_has_its_derivative():
     """x ↦ x/4 + 3/4 at 1, and a velocity of zero multiplied by −3."""
 
@@ -561,6 +562,7 @@ class PhaseLocked(jf.System):
         return jnp.stack([x[0], x[1], jnp.where(down, x[2], 1.0), jnp.where(down, 0.0, x[3])])
 
 
+@pytest.mark.slow
 def test_an_edge_at_the_rounded_time_of_a_tick_is_not_lost():
     # Locked, both edges fall together in every period, to rounding, and v = (1 − f0)/gain.
     def end(p):

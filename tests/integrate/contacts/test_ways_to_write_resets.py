@@ -125,6 +125,7 @@ class Rubbing(jf.System):
         (Rubbing(), [1.0, 0.0, 0.0, 0.0], 2.0, [*bounced(1.0, 2.0, 0.5), 0.0, 0.0]),
     ],
 )
+@pytest.mark.slow
 def test_a_reset_is_asked_only_at_its_contacts(system, x0, t1, end):
     sol = jf.solve(system, jnp.array(x0), 0.0, t1, 0.07)
     assert_allclose(sol.x_final, jnp.stack(end), rtol=0, atol=1e-13)
@@ -155,6 +156,7 @@ class Rough(jf.System):
 
 @pytest.mark.parametrize("root", ["norm", "where"])
 @pytest.mark.parametrize("num_tables", [1, 2, 5])
+@pytest.mark.slow
 def test_a_rest_needs_the_derivative_of_its_reset(root, num_tables):
     # It falls for a time 1 from 1/2, and bounces for 2e/(1 − e) more; or it starts at rest.
     def run(e, z, x, t1):

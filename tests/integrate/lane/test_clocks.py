@@ -265,6 +265,7 @@ class Stairs(jf.System):
     ],
     ids=["alone", "surface", "stairs"],
 )
+@pytest.mark.slow
 def test_ticks_at_one_time_are_all_seen_from_just_after_it(system, start, end):
     sol = jf.solve(system, jnp.array(start), 0.0, 4.5, 0.1, compact=True, throw=False)
     assert jf.RESULTS.names(sol.result) == "successful"
@@ -374,6 +375,7 @@ class Belt(Table):
 
 
 @pytest.mark.parametrize("system", [Table, Belt])
+@pytest.mark.slow
 def test_ticks_of_a_large_phase_let_a_state_stay_on_its_surface(system):
     """The ticks are the only events."""
 

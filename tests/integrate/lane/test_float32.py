@@ -72,6 +72,7 @@ def test_float32(name, t0):
 
 @pytest.mark.parametrize("t0", [0.0, 1000.0])
 @pytest.mark.parametrize("name", FAILING)
+@pytest.mark.slow
 def test_float32_outcomes(name, t0):
     p = PROBLEMS[name]
     sol = run(*single(name), t0, 10.0, p.dt)

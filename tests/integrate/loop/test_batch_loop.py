@@ -23,6 +23,7 @@ def judged(g0, d0, g1, d1, noise):
     return stays_off(g0, d0, g1, d1, noise), *first_contact(g0, d0, g1, d1, armed, noise)
 
 
+@pytest.mark.slow
 def test_where_a_guard_stays_off_no_contact_is_found():
     off = []
 

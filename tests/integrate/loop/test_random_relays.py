@@ -144,6 +144,7 @@ def test_random_systems_with_a_fast_slide(m, seeds):
     assert check([random_system(seed, m) for seed in seeds]) == (len(seeds), len(seeds))
 
 
+@pytest.mark.slow
 def test_random_systems_that_end_before_their_time():
     # Several motions go on from a contact.
     assert check([random_system(seed, 2) for seed in (588, 1019)]) == (2, 0)

@@ -191,6 +191,7 @@ def test_belt_case_1_changes_its_event_sequence_at_nine_values(censuses):
         assert tuple(below) != tuple(above), omega
 
 
+@pytest.mark.slow
 def test_belt_case_1_adds_a_slide(censuses):
     # A slip of 2 ms splits the stick.
     assert_array_equal(censuses[-1], [[0, 4, 4], [0, 8, 8]])

@@ -102,6 +102,7 @@ def test_two_fold_of_the_sd_oscillator_at_the_origin():
 
 
 @pytest.mark.parametrize("dt", [0.3, 0.5])
+@pytest.mark.slow
 def test_corner_exit(dt):
     p = PROBLEMS["corner exit"]
     sol = run(p.system, p.x0, p.t1, dt)

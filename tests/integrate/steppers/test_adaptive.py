@@ -197,6 +197,7 @@ class Refractory(jf.System):
         return jnp.where(surface == 0, jnp.stack([0 * t, -self.wait]), x)
 
 
+@pytest.mark.slow
 def test_a_guard_that_jumps_below_zero_at_another_surface_is_reached_there():
     # v is above 1 when the threshold drops, so that it fires each 0.7.
     first, start, step = np.log(1.5), jnp.array([0.0, 0.2]), jf.Adaptive(1e-9, 1e-12)

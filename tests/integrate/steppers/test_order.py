@@ -109,6 +109,7 @@ def test_order_of_values(errors):
     assert_allclose(fitted(steps, values.max(axis=1)), nominal, rtol=0, atol=0.3)
 
 
+@pytest.mark.slow
 def test_order_of_derivatives(errors):
     # By x0 on the rotating oscillator, by the belt's speed on the belt.
     nominal, steps, _, derivatives = errors

@@ -245,6 +245,7 @@ def test_relay_and_belt_with_a_damped_contact(damped, row):
     assert_allclose(dx, want_dx, rtol=0, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_a_contact_slower_than_its_rounding_is_passed(damped):
     """w falls at 1e-8 and has rounding of 1e-14: with this step the search once went on for ever, a
     little past the contact, where it was none any more and could not be landed on."""

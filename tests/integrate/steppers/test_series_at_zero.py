@@ -23,6 +23,7 @@ class Reservoir(jf.System):
         return x[0]
 
 
+@pytest.mark.slow
 def test_a_tank_that_has_run_empty():
     @jax.jit
     def end(deficit):

@@ -215,6 +215,7 @@ class Strips(jf.System):
 
 
 @pytest.mark.parametrize("others", [0, pytest.param(11, marks=pytest.mark.release)])
+@pytest.mark.slow
 def test_a_number_may_be_switched_by_several_surfaces_that_are_only_crossed(others):
     x0 = jnp.concatenate([jnp.array([0.0, 1.0]), jnp.ones(others)])
     sol = jf.solve(Strips(), x0, 0.0, 3.0, 0.05, stepper=jf.Taylor())
@@ -278,6 +279,7 @@ class Bent(jf.System):
         return jnp.abs(x[2]) - 1.0
 
 
+@pytest.mark.slow
 def test_kinks_inside_of_functions_exponents_and_surfaces():
     x0 = jnp.array([1.0, 3.0, 0.5, 1.0])
     sol = jf.solve(Bent(), x0, 0.0, 0.6, 0.05, stepper=jf.Taylor())

@@ -49,6 +49,7 @@ TIMES = jnp.array([1.0, 0.97, 1.03, 0.613, 1.111, 0.77])
 
 
 @pytest.mark.parametrize("kind", [Brake, TickingBrake])
+@pytest.mark.slow
 def test_a_brake_that_closes_from_zero_holds(kind):
     def end(push, closes):
         sol = jf.solve(kind(push, closes), jnp.zeros(2), 0.0, 2.0, 0.1, throw=False)
@@ -137,6 +138,7 @@ class Twisting(jf.System):
         return x
 
 
+@pytest.mark.slow
 def test_twisting_masses_stay_at_rest_when_another_arrives():
     x0 = jnp.array([0.5, 1.3, 0.0, 0.0])
     sol = jf.solve(Twisting(), x0, 0.0, 8.0, 0.1, throw=False)
@@ -173,6 +175,7 @@ class Snaps(jf.System):
 
 
 @pytest.mark.parametrize("system, size", [(Repelling(), 4), (Snaps(), 8)])
+@pytest.mark.slow
 def test_several_motions_of_many_surfaces_are_not_one(system, size):
     sol = jf.solve(system, jnp.zeros(size), 0.0, 0.3, 0.1, throw=False)
     assert outcome_names(sol.result) == "nonunique"
@@ -245,6 +248,7 @@ class Undefined(jf.System):
 
 
 @pytest.mark.parametrize("compact", [True, False])
+@pytest.mark.slow
 def test_a_field_that_is_no_number_elsewhere_hides_no_contact(compact):
     x0 = jnp.array([0.0, 1.0, 0.03, 0.0])
     sol = jf.solve(Undefined(), x0, 0.0, 2.0, 0.1, throw=False, compact=compact)
@@ -263,6 +267,7 @@ class Flow(jf.System):
         return x
 
 
+@pytest.mark.slow
 def test_a_field_that_is_no_number_elsewhere_decides_nothing():
     sol = jf.solve(Flow(), jnp.array([1.03, 1.0]), 0.0, 2.0, 0.1, throw=False)
     assert outcome_names(sol.result) == "successful"

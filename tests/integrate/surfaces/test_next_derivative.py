@@ -77,6 +77,7 @@ def of_loads(sign):
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.slow
 def test_a_preloaded_mass_leaves_when_the_load_exceeds_what_holds_it(sign):
     slopes, (results, ends) = of_loads(jnp.asarray(sign))
     assert outcome_names(results).tolist() == ["successful"] * len(LOADS)
@@ -113,6 +114,7 @@ class Walled(Bent):
 
 @pytest.mark.parametrize("slides", [True, False])
 @pytest.mark.parametrize("kind", [Bent, pytest.param(Walled, marks=pytest.mark.release)])
+@pytest.mark.slow
 def test_a_mass_at_rest_on_the_kink_of_its_spring_moves_on(kind, slides):
     system = kind(slides=slides, walled=kind is Walled)
     start = jf.solve(system, jnp.zeros(2), 1.0, 2.0, 0.07)
@@ -153,6 +155,7 @@ class Broken(jf.System):
         return x[0] - self.places
 
 
+@pytest.mark.slow
 def test_a_start_on_one_of_many_kinks():
     sol = jf.solve(Broken(), jnp.zeros(2), 0.0, 0.7, 0.07)
     w = np.sqrt(1.5)  # 2 − ½ (x + 1) − x: about x = 1

@@ -158,6 +158,7 @@ def test_derivatives_through_friction_that_feels_a_reaction():
         assert_allclose(slope[i], (high - low) / 2e-6, rtol=1e-7, atol=0)
 
 
+@pytest.mark.slow
 def test_runs_chained_at_a_slip_are_the_whole_run():
     times, x, v = pushed(0.5, 0.02, 3.0, 2.0)
     state, t = jnp.zeros(4), 0.0

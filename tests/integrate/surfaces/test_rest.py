@@ -164,6 +164,7 @@ def test_both_walls_of_a_corner_throw_back(lag):
     assert_allclose(sol.x_final, [1, 2 - lag, 0.5, 1], rtol=1e-13)
 
 
+@pytest.mark.slow
 def test_a_start_in_a_corner_is_thrown_back_from_both_walls():
     sol = solve(Corner(), (0, 0, -1, -1), 1.0, 0.3)
     assert_allclose(sol.x_final, [0.5, 1, 0.5, 1], rtol=1e-13)
@@ -414,6 +415,7 @@ def test_columns_of_beads_come_to_rest_and_not_through_the_floor():
     assert gaps.min() > -1e-13
 
 
+@pytest.mark.slow
 def test_beads_that_lie_on_each_other_stay():
     sol = column(jnp.asarray(0.5), jnp.array([0.1, 0.3, 0.5]))
     assert_array_equal(sol.mode_final, [2, 2, 2])

@@ -396,6 +396,7 @@ class Carriage(jf.System):
 
 
 @pytest.mark.parametrize("t1", [4.5, 5.7])
+@pytest.mark.slow
 def test_a_wall_that_moves_takes_a_stuck_mass_along(t1):
     """The right wall hits the mass at rest at 5/6, and pushes it until its acceleration cos t is
     that of the friction, F. From there the mass flies, and slows down."""
@@ -436,6 +437,7 @@ class Pushed(jf.System):
 
 
 @pytest.mark.parametrize("wall_first", [True, False])
+@pytest.mark.slow
 def test_a_mass_that_friction_holds_at_a_wall_leaves_it(wall_first):
     """It falls on the wall, is pressed against it, then held by its friction alone until A cos ωt
     = F, and then free. At a wall at zero the rounding of x is that of the forces that hold it."""

@@ -45,6 +45,7 @@ _MORE = [
 
 
 @pytest.mark.parametrize("scales", [(1.0, -2.0), *_MORE])
+@pytest.mark.slow
 def test_brakes_on_one_disc_are_one_brake(scales):
     def end(system):
         sol = jf.solve(system, jnp.zeros(2), 0.0, 9.0, 0.05, max_events=64, throw=False)

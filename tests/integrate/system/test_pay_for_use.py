@@ -144,6 +144,7 @@ def test_what_is_not_declared_is_not_in_the_program(program, source, declared, o
         ("[2,2]", "ts", "crossing"),  # saved states
     ],
 )
+@pytest.mark.slow
 def test_marks_of_what_is_not_declared_are_not_in_the_program(program, mark, declared, other):
     assert mark in program(declared), "not a mark any more"
     assert mark not in program(other)
