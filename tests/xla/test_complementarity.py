@@ -13,7 +13,6 @@ PILE[0, 0] = 1.0
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
-@pytest.mark.slow
 def test_reactions_are_found_in_any_units(dtype):
     eps = np.finfo(dtype).eps
     unit = np.array([1.0, 1e-18, 1e18], dtype)

@@ -89,7 +89,6 @@ def test_arctangent_of_special_numbers():
 @pytest.mark.parametrize(
     "dtype", [pytest.param(jnp.float32, marks=pytest.mark.release), jnp.float64]
 )
-@pytest.mark.slow
 def test_an_arctangent_in_a_users_field_is_right_over_many_lanes(dtype):
     def pull(t, x):
         return -jnp.arctan(3 * x)
